@@ -31,7 +31,7 @@ class Ours:
         import numpy as np
 
         from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
-        from edoras_tools.io.topics.rows import Records
+        from edoras_tools.io.topics.messages import Records
         from edoras_tools.io.topics.streams import Topic
         from edoras_tools.model import Endpoint
 

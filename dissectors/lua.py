@@ -19,7 +19,7 @@ from edoras_tools.dissectors.lua_text import literal, quoted
 from edoras_tools.links.protocol import BY_ADDRESS, BY_CONTENT, LARGEST_DOUBLE, SMALLEST_DOUBLE
 from edoras_tools.structs.shapes import COMMANDED
 from edoras_tools.wire import ccsds, cfe, envelope, sbn, transfer_frames
-from edoras_tools.wire.arrays.sums import CRC16_BYTES
+from edoras_tools.wire.arrays import CRC16_BYTES
 from edoras_tools.wire.envelope import ENVELOPE_FORMATS
 from edoras_tools.wire.transfer_frames import FIRST_PART, FRAME_VERSIONS, LATE, count_modulus
 

@@ -87,7 +87,7 @@ PUT_OFF = {
     "addons/debug_info/dwarf.py": ("elftools", "an extra"),
     "structs/files.py": ("ruamel", "14 ms, and only for layouts that are files"),
     "structs/table.py": ("edoras_tools", "20 ms, when the first packet holds a struct"),
-    "wire/arrays/sums.py": ("isal zlib", "1 ms, and only where a CRC-32 is made"),
+    "wire/arrays.py": ("isal zlib", "1 ms, and only where a CRC-32 is made"),
 }
 """Modules outside ``COMMAND_LINES`` that import inside functions: what, and why. ``cli`` has the rule."""
 INDENTED = re.compile(r"^[ \t]+(import|from)\b", re.MULTILINE)

@@ -56,7 +56,6 @@ ELSEWHERE = {
     "io/formats/mcap/recovery/*": "io/formats/mcap/test_recover.py",
     "io/frames/*": "io/frames/test_linklayer.py",
     "io/net/*": "io/net/test_transmit.py",
-    "io/topics/*": "io/formats/mcap/test_writer.py",
     "links/*": "decode/test_agreement.py",
     "mission/*": "mission/test_mistakes.py",
     "pipelines/doctor/*": "cli/test_doctor.py",

@@ -19,7 +19,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, in_16_bits, numbered
+from edoras_tools.wire.arrays import Integers, Mask, Octets, in_16_bits, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

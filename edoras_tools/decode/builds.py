@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, distinct_rows
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, distinct_rows, gather
 from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
 

@@ -29,9 +29,7 @@ from edoras_tools.model import (
     PacketBatch,
 )
 from edoras_tools.structs.bindings import payloads
-from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
-from edoras_tools.wire.arrays.window import any_nonzero, gather, xor_bytes
+from edoras_tools.wire import arrays, ccsds, cfe
 from edoras_tools.wire.envelope import (
     DEFAULT,
     ENVELOPE_FORMATS,
@@ -112,7 +110,7 @@ class Begun(NamedTuple):
         part: batch of these datagrams; None: to be taken from the whole batch.
     """
 
-    link: Octets
+    link: arrays.Octets
     start: NDArray[np.int32]
     out: dict[str, NDArray[Any]]
     part: PacketBatch | None = None
@@ -212,7 +210,7 @@ class _Pass:
             if item.receive_buffer and int(item) in self.present:
                 over = np.flatnonzero((link == item) & (length > item.receive_buffer))
                 if item.to_cfs:  # cFS uses the length in the header: bytes cut behind it are no loss
-                    head = gather(self.batch.data, self.batch.offset[over], ccsds.PRIMARY.size)
+                    head = arrays.gather(self.batch.data, self.batch.offset[over], ccsds.PRIMARY.size)
                     size = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int32)
                     over = over[size + ccsds.LENGTH_BIAS > item.receive_buffer]
                 self.out["findings"][over] |= np.uint32(item.over_receive_buffer)
@@ -226,12 +224,12 @@ class _Pass:
             self.out["findings"][cut] &= np.uint32(~UNKNOWABLE & 0xFFFFFFFF)
         return Columns(**self.out)
 
-    def flag(self, finding: Finding, rows: Places, mask: Mask) -> None:
+    def flag(self, finding: Finding, rows: arrays.Places, mask: arrays.Mask) -> None:
         """Set a finding's bit in those of ``rows`` that a mask selects."""
         if np.count_nonzero(mask):  # a third of the time of ``any``
             self.out["findings"][rows[mask]] |= np.uint32(finding)
 
-    def mark(self, finding: Finding, mask: Mask) -> None:
+    def mark(self, finding: Finding, mask: arrays.Mask) -> None:
         """Set a finding's bit in the rows of a mask over the whole batch."""
         if np.count_nonzero(mask):
             self.out["findings"] |= mask * np.uint32(finding)
@@ -252,7 +250,7 @@ class _Pass:
                 self._samples(link, rows)
         return start
 
-    def _samples(self, link: LinkProtocol, rows: Places) -> None:
+    def _samples(self, link: LinkProtocol, rows: arrays.Places) -> None:
         """Judge whether a link's samples are whole messages of their types."""
         context = self.context
         for item in link.sample_reader().known_samples(context.types, context.endpoints, self.batch, rows):
@@ -269,7 +267,7 @@ class _Pass:
         self.flag(Finding.TRUNCATED, absent, start[absent] >= 0)
         start[absent], length[absent] = 0, 0
         offset = self.batch.offset + start
-        head = gather(self.batch.data, offset, _PACKET_WINDOW)
+        head = arrays.gather(self.batch.data, offset, _PACKET_WINDOW)
         total = ccsds.PRIMARY.column("packet_data_length", head).astype(np.int32) + ccsds.LENGTH_BIAS
         sequence = head[:, 2:4].view(">u2")[:, 0].astype(np.uint16)
         msg_ids = self.context.msg_ids
@@ -307,7 +305,12 @@ class _Pass:
         self._structs()
 
     def _secondary(
-        self, packet: Mask, head: Octets, total: NDArray[np.int32], command: Mask, build: Any
+        self,
+        packet: arrays.Mask,
+        head: arrays.Octets,
+        total: NDArray[np.int32],
+        command: arrays.Mask,
+        build: Any,
     ) -> None:
         """Read the cFE command and telemetry headers, with one build, or the own build of each packet."""
         length = self.out["packet_length"]
@@ -335,7 +338,7 @@ class _Pass:
 
         rows = np.flatnonzero(packet & whole & command)
         length, total, present = length[rows], total[rows], head[rows, at + 1] != 0
-        summed = xor_bytes(self.batch.data, self.out["packet_offset"][rows], np.minimum(length, total))
+        summed = arrays.xor_bytes(self.batch.data, self.out["packet_offset"][rows], np.minimum(length, total))
         bad = summed != cfe.CHECKSUM_SEED
         self.flag(Finding.CHECKSUM_BAD, rows, bad & present)
         self.flag(Finding.CHECKSUM_ABSENT, rows, bad & ~present)
@@ -368,7 +371,7 @@ class _Pass:
             self.flag(Finding.UNKNOWN_MSG_ID, samples.row, samples.key == structs.dictionary.unknown)
             self.flag(Finding.LENGTH_MISMATCH, samples.row, samples.key == structs.dictionary.odd)
 
-    def _envelopes(self, packet: Mask) -> None:
+    def _envelopes(self, packet: arrays.Mask) -> None:
         """Read the envelopes of the routes' packets, one route at a time."""
         exact = self.out["route"]
         route = np.where(exact == NO_ROUTE, self.context.any_route_of[self.out["msg_id"]], exact)
@@ -382,14 +385,14 @@ class _Pass:
             self.flag(Finding.HEADER_ONLY, rows, bare & ~quiet & ~mismatched)
             self.flag(Finding.TRUNCATED, rows, bare & mismatched)
             rows, route = rows[~bare], route[~bare]
-        for index, picked in by_value(route):
+        for index, picked in arrays.by_value(route):
             self._envelope(index, rows[picked])
 
-    def _envelope(self, route: int, rows: Places) -> None:
+    def _envelope(self, route: int, rows: arrays.Places) -> None:
         envelope = self.context.envelopes[route]
         offset = self.out["packet_offset"][rows] + self.out["header_length"][rows]
         have = self.out["packet_length"][rows] - self.out["header_length"][rows]
-        head = gather(self.batch.data, offset, max(DEFAULT.size, envelope.size if envelope else 0) + 4)
+        head = arrays.gather(self.batch.data, offset, max(DEFAULT.size, envelope.size if envelope else 0) + 4)
         if envelope is not None:
             self._bodies(route, rows, offset, have, head, envelope)
             return
@@ -403,10 +406,10 @@ class _Pass:
     def _bodies(
         self,
         route: int,
-        rows: Places,
-        offset: Integers,
+        rows: arrays.Places,
+        offset: arrays.Integers,
         have: NDArray[np.int32],
-        head: Octets,
+        head: arrays.Octets,
         envelope: EnvelopeFormat,
     ) -> None:
         """Read envelopes of one format, and judge the CDR in them.
@@ -449,7 +452,7 @@ class _Pass:
         self.flag(Finding.CDR_BIG_ENDIAN, rows, plain & (head[:, size + 1] == 0))
         if envelope.crc:
             self.flag(Finding.CHECKSUM_BAD, rows, ~intact_rows(self.batch.data, start, length, envelope))
-        stale = any_nonzero(self.batch.data, offset + length + envelope.crc, space - length)
+        stale = arrays.any_nonzero(self.batch.data, offset + length + envelope.crc, space - length)
         self.flag(Finding.STALE_TAIL, rows, stale)
 
 
@@ -479,7 +482,7 @@ class _Datagram:
 class _Rows:
     """Some datagrams of a batch as a :class:`~edoras_tools.links.protocol.Seen`; each number is an array."""
 
-    def __init__(self, batch: PacketBatch, rows: Places, context: Context) -> None:
+    def __init__(self, batch: PacketBatch, rows: arrays.Places, context: Context) -> None:
         self._batch, self._rows, self._context = batch, rows, context
         self._fields: dict[tuple[str, str, int], NDArray[Any]] = {}
         self._have = batch.length[rows]
@@ -487,18 +490,18 @@ class _Rows:
         self.destination_port = batch.destination_port[rows]
 
     @cached_property
-    def to_cfs(self) -> Mask:
+    def to_cfs(self) -> arrays.Mask:
         return self._is_cfs(self._batch.destination_address[self._rows])
 
     @cached_property
-    def from_cfs(self) -> Mask:
+    def from_cfs(self) -> arrays.Mask:
         return self._is_cfs(self._batch.source_address[self._rows])
 
     @property
     def bound(self) -> Any:
         return self._context.structs.on_ports(self.destination_port, self.length)
 
-    def _is_cfs(self, address: NDArray[np.uint32]) -> Mask:
+    def _is_cfs(self, address: NDArray[np.uint32]) -> arrays.Mask:
         matches = np.zeros(len(address), bool)
         for cfs in self._context.cfs_addresses:
             matches |= address == cfs
@@ -518,17 +521,17 @@ class _Rows:
         absent = self._have < at + slot.end
         if some := absent.any():
             offset[absent] = 0
-        window = gather(self._batch.data, offset, slot.end - slot.start)
+        window = arrays.gather(self._batch.data, offset, slot.end - slot.start)
         values = layout.column(name, window, -slot.start)
         return np.where(absent, -1, values.astype(np.int64)) if some else values
 
 
-def link_columns(batch: PacketBatch, context: Context) -> Octets:
+def link_columns(batch: PacketBatch, context: Context) -> arrays.Octets:
     """Return the link of every datagram of a batch, u8 (n,); fragments without a payload have none."""
     claim = context.claim.take(batch.destination_port)
     link = context.decided.take(claim)
     undecided = np.flatnonzero(link == 0)
-    for index, members in by_value(claim[undecided]):
+    for index, members in arrays.by_value(claim[undecided]):
         if context.claimants[index]:
             rows = undecided[members]
             facts, best = _Rows(batch, rows, context), np.zeros(len(rows), np.int8)
@@ -554,17 +557,17 @@ def link_columns(batch: PacketBatch, context: Context) -> Octets:
     return link
 
 
-def beginning(batch: PacketBatch, rows: Places, magic: bytes) -> Places:
+def beginning(batch: PacketBatch, rows: arrays.Places, magic: bytes) -> arrays.Places:
     """Return those of some rows of a batch whose payloads begin with a magic number."""
     rows = rows[batch.length[rows] >= len(magic)]
     rows = rows[batch.data[batch.offset[rows]] == magic[0]]
     if len(rows):
-        begins = gather(batch.data, batch.offset[rows], len(magic))
+        begins = arrays.gather(batch.data, batch.offset[rows], len(magic))
         return rows[np.all(begins == np.frombuffer(magic, np.uint8), axis=1)]
     return rows
 
 
-def _stream_links(batch: PacketBatch, context: Context, link: Octets) -> None:
+def _stream_links(batch: PacketBatch, context: Context, link: arrays.Octets) -> None:
     """Set the link of TCP messages: by the port of either end, then by content if the link needs that."""
     assert batch.streams is not None
     streams = np.flatnonzero(batch.streams)

@@ -19,7 +19,7 @@ from edoras_tools.decode.filters.messages import held_messages, structs_of
 from edoras_tools.decode.stack import Dissector
 from edoras_tools.links import table
 from edoras_tools.model import NO_ROUTE, Decoded, Endpoint, Finding, Link
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, numbered
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_value, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.ros import TypeStore
-    from edoras_tools.wire.arrays.order import Mask, Octets
+    from edoras_tools.wire.arrays import Mask, Octets
     from edoras_tools.wire.ccsds import MsgIds
     from edoras_tools.wire.layout import Layout
 

@@ -27,8 +27,7 @@ import numpy as np
 from edoras_tools.links import table
 from edoras_tools.model import OTHER, Columns, Endpoint, Finding, Link, PacketBatch
 from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, distinct, numbered
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import Integers, Mask, Places, distinct, gather, numbered
 from edoras_tools.wire.ccsds import VERSION_1
 
 if TYPE_CHECKING:

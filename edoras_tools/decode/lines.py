@@ -22,8 +22,7 @@ from edoras_tools.errors import TruncatedError
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Finding, Link
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import Integers, Mask, by_value
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import Integers, Mask, by_value, gather
 from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 

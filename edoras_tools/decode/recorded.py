@@ -14,7 +14,7 @@ import numpy as np
 from edoras_tools.decode.summary import leaves_of, short_values
 from edoras_tools.errors import EdorasError, WireError
 from edoras_tools.model import NO_FINDINGS, OTHER, Columns, Decoded, Finding, Layer, LayerField, RosMessage
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays import by_value
 from edoras_tools.wire.envelope import ENCAPSULATION
 
 if TYPE_CHECKING:

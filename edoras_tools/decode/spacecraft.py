@@ -20,9 +20,8 @@ from zlib import crc32
 import numpy as np
 
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays import sums
-from edoras_tools.wire.arrays.order import Mask, Octets, Places, Prints, distinct_rows
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire import arrays
+from edoras_tools.wire.arrays import Mask, Octets, Places, Prints, distinct_rows, gather
 from edoras_tools.wire.ccsds import MSG_ID_BYTES, MsgIds
 
 if TYPE_CHECKING:
@@ -316,4 +315,4 @@ class _Packets(NamedTuple):
 def packet_prints(batch: PacketBatch, rows: Places, start: NDArray[np.int32]) -> Prints:
     """Return a fingerprint of each packet's first bytes, u64; 0 if no packet starts."""
     length = np.where(start < 0, 0, np.clip(batch.length[rows] - start, 0, _HEAD))
-    return sums.of_bytes(batch.data, batch.offset[rows] + start, length)
+    return arrays.of_bytes(batch.data, batch.offset[rows] + start, length)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.protocol import LinkProtocol
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Places
 
     Column: TypeAlias = "NDArray[Any] | Ragged | Group"
 

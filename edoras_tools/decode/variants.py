@@ -33,8 +33,7 @@ from edoras_tools.links.table import accepted
 from edoras_tools.model import NO_ROUTE, PacketBatch
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.order import Octets, by_value, distinct, distinct_rows, quantiles
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import Octets, by_value, distinct, distinct_rows, gather, quantiles
 from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
 
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from edoras_tools.decode.context import Context
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Places
 
 _ENOUGH: Final = 512
 """Sound packets after which detection ends."""

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Places
 
 
 LET_RUN: Final = "look at the load of its host, and at who may stop its process (a debugger, SIGSTOP)"

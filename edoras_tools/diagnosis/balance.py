@@ -36,7 +36,7 @@ from edoras_tools.diagnosis.ledger import (
 from edoras_tools.links.bare import CI, ROBOT, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays import by_key
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

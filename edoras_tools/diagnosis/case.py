@@ -60,7 +60,7 @@ from edoras_tools.diagnosis.quality import (
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding, Link, Peer
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key, by_value
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, by_value
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER
 
 if TYPE_CHECKING:

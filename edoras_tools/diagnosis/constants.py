@@ -22,7 +22,7 @@ from msgspec.structs import replace
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.matching.streams import Stream, bursts, full_where_lacking
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import Integers, groups
+from edoras_tools.wire.arrays import Integers, groups
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -35,7 +35,7 @@ from edoras_tools.diagnosis.verdict import CAPTURE_RULES, WHOLE, Choice, Severit
 from edoras_tools.links.table import LinkStates
 from edoras_tools.mission import Mission
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, PacketBatch
-from edoras_tools.wire.arrays.order import by_key, by_value
+from edoras_tools.wire.arrays import by_key, by_value
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -34,7 +34,7 @@ from edoras_tools.diagnosis.evidence.relays import PROXY_HOP, LostInRelay
 from edoras_tools.links import table
 from edoras_tools.links.bare import ROBOT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE
-from edoras_tools.wire.arrays.order import Places, groups
+from edoras_tools.wire.arrays import Places, groups
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

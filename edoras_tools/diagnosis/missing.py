@@ -21,7 +21,7 @@ from edoras_tools.diagnosis.accounting.losses import Among
 from edoras_tools.diagnosis.ledger import LedgerEntry
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.wire.arrays.order import Integers, Places, distinct, numbered
+from edoras_tools.wire.arrays import Integers, Places, distinct, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

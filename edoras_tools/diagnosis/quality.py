@@ -51,7 +51,7 @@ import numpy as np
 
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import by_key, by_value, distinct, groups, numbered
+from edoras_tools.wire.arrays import by_key, by_value, distinct, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.model import HostCounters
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Places
 
 
 EvidenceKind = Literal["identifications", "inputs", "ci_counts", "sequence_counts", "periods", "copies"]

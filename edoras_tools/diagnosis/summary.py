@@ -27,7 +27,7 @@ from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
 from edoras_tools.diagnosis.ledger import CAPTURE, CAUSES, PEER, Row, cause_text
 from edoras_tools.diagnosis.verdict import CAPTURE_RULES, NOTHING_SENT, Severity, alike, group_verdicts
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import either, plural
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays import by_key
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

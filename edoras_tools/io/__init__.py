@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from edoras_tools.sessions.faults.kinds import Fault
     from edoras_tools.sessions.sequence import SequenceCounts
     from edoras_tools.structs import Structs
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
     Room = Callable[[int], Octets]
     """Returns memory of a given size in bytes, u8."""

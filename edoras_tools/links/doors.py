@@ -27,7 +27,7 @@ import numpy as np
 
 from edoras_tools.errors import TruncatedError
 from edoras_tools.model import Columns, Datagram, Finding, Layer, LayerField, PacketBatch, RosMessage
-from edoras_tools.wire.arrays.window import PADDING
+from edoras_tools.wire.arrays import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Octets, Places
     from edoras_tools.wire.layout import Layout
 
 
@@ -65,7 +65,7 @@ class OwnTopics(Protocol):
     """Makes messages of a link's datagrams, on topics that are known only from their content."""
 
     def messages(self, batch: PacketBatch, columns: Columns) -> Iterable[Any]:
-        """Return the ``io.topics.rows.Messages`` of a batch, as copies; batches come in order."""
+        """Return the ``io.topics.messages.Messages`` of a batch, as copies; batches come in order."""
 
     def offer(self) -> None:
         """Add the topics that are already known, before their first messages."""

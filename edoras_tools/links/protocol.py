@@ -42,7 +42,7 @@ if TYPE_CHECKING:
         TopicSpace,
         Unwrapper,
     )
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Octets, Places
 
 _NEVER: Final = 2**63 - 1
 

@@ -19,8 +19,7 @@ from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, Reading, S
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Located
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds, sbn
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value, groups
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, by_value, gather, groups
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import Framing
-    from edoras_tools.wire.arrays.order import Mask
+    from edoras_tools.wire.arrays import Mask
 
 State = TypeVar("State")
 _LABEL: Final = re.compile(r"[a-z][a-z0-9_]{0,15}")

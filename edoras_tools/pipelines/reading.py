@@ -34,7 +34,7 @@ from edoras_tools.model import OTHER, Columns, Finding, PacketBatch
 from edoras_tools.pipelines.interrupt import interrupted, interruptible
 from edoras_tools.pipelines.selection import Period, Selection, outside
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, by_value
+from edoras_tools.wire.arrays import Integers, Mask, by_value
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

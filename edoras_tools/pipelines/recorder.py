@@ -29,8 +29,7 @@ from edoras_tools.io import DisplaySink, Sink, SourceDefaults
 from edoras_tools.io.frames.frame_batch import HEADER_BYTES, FramePage
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.io.outputs import Patience, waiting_for_room
-from edoras_tools.io.processes import Desk, Workers, portable, writer_killed
-from edoras_tools.io.processors import run_soon
+from edoras_tools.io.processes import Desk, Workers, portable, run_soon, writer_killed
 from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import Flushing, Target, open_sink
@@ -47,7 +46,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.net.buffer import DatagramBuffer
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults.kinds import Fault
-    from edoras_tools.wire.arrays.order import Integers
+    from edoras_tools.wire.arrays import Integers
 
 PAGE_BYTES: Final = 2 << 20
 PAGE_ROWS: Final = 16384

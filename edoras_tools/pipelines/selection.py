@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, split_topic
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
-from edoras_tools.io.topics.rows import APART
+from edoras_tools.io.topics.messages import APART
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, Columns, Link, PacketBatch
 from edoras_tools.older import UTC
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.doors import Endpoints
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.wire.arrays.order import Integers, Mask
+    from edoras_tools.wire.arrays import Integers, Mask
 
 _BEFORE_NS: Final = 3600 * SECOND
 """Longest time that a clock time without a date may be before the capture, or an end before the start; an

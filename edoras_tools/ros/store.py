@@ -16,7 +16,7 @@ from edoras_tools.ros.cdr.plan import ROUNDING, CdrPlan, Compiler
 from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES, ValueSpan, Writer, decode, value_spans
 from edoras_tools.ros.types.library import Library
 from edoras_tools.ros.types.schema import Definition, MessageField, complete_text, full_name, with_used
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays import by_key
 
 if TYPE_CHECKING:
     import os
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.ros.cdr.columns import MessageColumns
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 USUAL_DISTRO: Final = "jazzy"
 """The distribution if none is named: that of EDORAS's own images."""

@@ -21,9 +21,7 @@ from edoras_tools.cfs import edoras_app
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, Link, PacketBatch, Peer
 from edoras_tools.older import StrEnum
 from edoras_tools.units import SECOND
-from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
-from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at, xor_bytes
+from edoras_tools.wire import arrays, ccsds, cfe, sbn
 from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, VERSION_2
 
 if TYPE_CHECKING:
@@ -81,16 +79,16 @@ class Outgoing(msgspec.Struct, frozen=True):
     """
 
     link: Link
-    data: Octets
-    offset: Integers
+    data: arrays.Octets
+    offset: arrays.Integers
     length: NDArray[np.int32]
-    time_ns: Integers
-    packet_offset: Integers
+    time_ns: arrays.Integers
+    packet_offset: arrays.Integers
     packet_length: NDArray[np.int32]
-    header_length: Octets
-    headers: Octets
+    header_length: arrays.Octets
+    headers: arrays.Octets
     msg_id: NDArray[np.int32]
-    cdr_offset: Integers
+    cdr_offset: arrays.Integers
     route: NDArray[np.int16]
 
     def __len__(self) -> int:
@@ -109,7 +107,7 @@ class Outgoing(msgspec.Struct, frozen=True):
         return replace(self, data=self.data.copy())
 
     @classmethod
-    def bare(cls, link: Link, messages: Sequence[bytes], time_ns: Integers) -> Outgoing:
+    def bare(cls, link: Link, messages: Sequence[bytes], time_ns: arrays.Integers) -> Outgoing:
         """Lay out messages without packets."""
         length = np.array([len(item) for item in messages], np.int32)
         none, nothing = np.full(len(messages), -1, np.int64), np.zeros(len(messages), np.uint8)
@@ -136,7 +134,7 @@ class Outgoing(msgspec.Struct, frozen=True):
         offset = np.cumsum(length, dtype=np.int64) - length
         shift = offset - start
         data = np.empty(int(length.sum()), np.uint8)
-        copy_rows(data, offset, batch.data, start, length)
+        arrays.copy_rows(data, offset, batch.data, start, length)
         return cls(
             link=link,
             data=data,
@@ -202,7 +200,7 @@ class Outgoing(msgspec.Struct, frozen=True):
         )
 
     @property
-    def command(self) -> Mask:
+    def command(self) -> arrays.Mask:
         """Which datagrams are commands, bool; also True without a MsgId."""
         return VERSION_1.is_command(cfe.known_ids(self.msg_id, self.headers))
 
@@ -221,15 +219,15 @@ class Outgoing(msgspec.Struct, frozen=True):
         shift, rows = offset - self.offset, np.flatnonzero(changed)
         old, at, own = self.packet_offset[rows], (offset + before)[rows], self.headers[rows]
         data = np.zeros(int(length.sum()), np.uint8)
-        copy_rows(data, offset, self.data, self.offset, before)
-        copy_rows(data, at, self.data, old, np.full(len(rows), ccsds.PRIMARY.size))
+        arrays.copy_rows(data, offset, self.data, self.offset, before)
+        arrays.copy_rows(data, at, self.data, old, np.full(len(rows), ccsds.PRIMARY.size))
         both = np.array([item.extended and new.extended for item in cfe.HEADERS])[own]
         behind = ccsds.PRIMARY.size
-        copy_rows(data, at + behind, self.data, old + behind, both * cfe.EXTENDED.size)
+        arrays.copy_rows(data, at + behind, self.data, old + behind, both * cfe.EXTENDED.size)
         shared = np.where(command[rows], cfe.COMMAND.size, cfe.TELEMETRY_SHORT.size)
-        copy_rows(data, at + new.start, self.data, old + _STARTS[own], shared)
+        arrays.copy_rows(data, at + new.start, self.data, old + _STARTS[own], shared)
         rest = (self.offset + self.length)[rows] - old - size[rows]
-        copy_rows(data, at + new_size[rows], self.data, old + size[rows], rest)
+        arrays.copy_rows(data, at + new_size[rows], self.data, old + size[rows], rest)
         result = replace(
             self,
             data=data,
@@ -247,7 +245,7 @@ class Outgoing(msgspec.Struct, frozen=True):
         _grow(data, at, ccsds.PRIMARY, "packet_data_length", grown[rows])
         if self.link.peers:
             _grow(data, offset[rows], sbn.HEADER, "msg_size", grown[rows])
-        right = xor_bytes(self.data, old, self.packet_length[rows]) == cfe.CHECKSUM_SEED
+        right = arrays.xor_bytes(self.data, old, self.packet_length[rows]) == cfe.CHECKSUM_SEED
         _check(result, ChecksumRule.FIX, rows[right & command[rows]])
         return result
 
@@ -271,7 +269,7 @@ class Packet(msgspec.Struct, frozen=True):
 _COLUMNS: Final = tuple(name for name in Outgoing.__struct_fields__ if name not in {"link", "data"})
 
 
-def _moved(place: Integers, shift: Integers) -> Integers:
+def _moved(place: arrays.Integers, shift: arrays.Integers) -> arrays.Integers:
     return np.where(place < 0, -1, place + shift)
 
 
@@ -308,7 +306,7 @@ class Changes(msgspec.Struct, frozen=True):
     msg_ids: Mapping[int, int] = msgspec.field(default_factory=dict)
     sequence: SequenceRule = SequenceRule.KEEP
     checksum: ChecksumRule = ChecksumRule.KEEP
-    restamp: Mask | None = None
+    restamp: arrays.Mask | None = None
     sender: Peer | None = None
     headers: cfe.Headers | None = None
 
@@ -363,67 +361,67 @@ class Changes(msgspec.Struct, frozen=True):
         whole = out.offset[out.length >= sbn.HEADER.size]
         slot = sbn.HEADER.by_name["processor_id"]
         identity = np.array([sender.processor_id, sender.spacecraft_id], ">u4").view("V8")
-        put_rows(out.data, whole + slot.start, np.repeat(identity, len(whole)))
+        arrays.put_rows(out.data, whole + slot.start, np.repeat(identity, len(whole)))
 
 
-def _put_msg_ids(out: Outgoing, rows: Places, msg_id: NDArray[np.int32]) -> None:
+def _put_msg_ids(out: Outgoing, rows: arrays.Places, msg_id: NDArray[np.int32]) -> None:
     """Write MsgIds into packets, in the version of their headers."""
     out.msg_id[rows] = msg_id
-    for number, members in by_value(out.headers[rows]):
+    for number, members in arrays.by_value(out.headers[rows]):
         headers, at = cfe.HEADERS[number], out.packet_offset[rows[members]]
         word, subsystem = headers.msg_ids.words(msg_id[members])
-        put_rows(out.data, at, word.astype(">u2"))
+        arrays.put_rows(out.data, at, word.astype(">u2"))
         if headers.msg_ids is VERSION_2:
             whole = out.packet_length[rows[members]] >= MSG_ID_BYTES
             out.data[at[whole] + MSG_ID_BYTES - 1] = np.broadcast_to(subsystem, len(at))[whole]
 
 
-def _put_other_header(out: Outgoing, rows: Places) -> None:
+def _put_other_header(out: Outgoing, rows: arrays.Places) -> None:
     """Replace command headers by telemetry headers or the reverse, after extended headers."""
     headers = cfe.WITH_EXTENDED
     for command in (False, True):
         selection = rows[out.command[rows] == command]
         layout = headers.command if command else headers.telemetry
         header = layout.emit({"function_code": edoras_app.SET} if command else {})
-        put_rows(
+        arrays.put_rows(
             out.data,
             out.packet_offset[selection] + headers.start,
             np.full(len(selection), np.void(header), f"V{len(header)}"),
         )
 
 
-def _grow(data: Octets, at: Integers, layout: Layout, name: str, by: NDArray[np.int32]) -> None:
+def _grow(data: arrays.Octets, at: arrays.Integers, layout: Layout, name: str, by: NDArray[np.int32]) -> None:
     """Add to a 16-bit size in headers of a layout."""
     at = at + layout.by_name[name].start
-    put_rows(data, at, (read_at(data, at, ">u2").astype(np.int32) + by).astype(">u2"))
+    arrays.put_rows(data, at, (arrays.read_at(data, at, ">u2").astype(np.int32) + by).astype(">u2"))
 
 
-def _stamp(out: Outgoing, rows: Places, time_ns: Integers) -> None:
+def _stamp(out: Outgoing, rows: arrays.Places, time_ns: arrays.Integers) -> None:
     little = (out.data[out.cdr_offset[rows] + 1] & 1) != 0
     for order, selection in (("<", little), (">", ~little)):
         picked = rows[selection]
         times = np.stack(np.divmod(time_ns[selection], SECOND), axis=1).astype(f"{order}u4").view("V8")
-        put_rows(out.data, out.cdr_offset[picked] + _STAMP_AT, times[:, 0])
+        arrays.put_rows(out.data, out.cdr_offset[picked] + _STAMP_AT, times[:, 0])
 
 
 def _number(out: Outgoing, rule: SequenceRule, sent: int) -> None:
     rows = np.flatnonzero(out.msg_id != NO_MSG_ID)
     word = np.zeros(len(rows), ">u2")
     if rule is SequenceRule.COUNT:
-        for _, picked in by_value(out.msg_id[rows]):
+        for _, picked in arrays.by_value(out.msg_id[rows]):
             count = np.arange(sent * len(picked), (sent + 1) * len(picked)) % _COUNTS
             word[picked] = _UNSEGMENTED | count
-    put_rows(out.data, out.packet_offset[rows] + 2, word)
+    arrays.put_rows(out.data, out.packet_offset[rows] + 2, word)
 
 
-def _check(out: Outgoing, rule: ChecksumRule, rows: Places | None = None) -> None:
+def _check(out: Outgoing, rule: ChecksumRule, rows: arrays.Places | None = None) -> None:
     if rows is None:
         whole = out.packet_length >= out.header_length
         rows = np.flatnonzero((out.msg_id != NO_MSG_ID) & out.command & whole)
     at = out.packet_offset[rows] + _STARTS[out.headers[rows]] + cfe.CHECKSUM_BYTE
     out.data[at] = 0
     if rule is not ChecksumRule.ZERO:
-        right = xor_bytes(out.data, out.packet_offset[rows], out.packet_length[rows]) ^ np.uint8(
+        right = arrays.xor_bytes(out.data, out.packet_offset[rows], out.packet_length[rows]) ^ np.uint8(
             cfe.CHECKSUM_SEED
         )
         out.data[at] = right if rule is ChecksumRule.FIX else ~right

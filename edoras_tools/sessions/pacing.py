@@ -22,7 +22,7 @@ from edoras_tools.units import SECOND
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers
+    from edoras_tools.wire.arrays import Integers
 
 _STEPS: Final = 64
 """Steps of the lateness scale for each doubling: one step is 1.1 %."""

@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.wire.arrays.order import Integers, Mask
+    from edoras_tools.wire.arrays import Integers, Mask
 
 MOST_RANGES: Final = 1 << 12
 

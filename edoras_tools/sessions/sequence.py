@@ -45,8 +45,8 @@ from msgspec.structs import replace
 
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays import sums
-from edoras_tools.wire.arrays.order import Integers, Mask, by_value, changes, distinct_rows, order_by
+from edoras_tools.wire import arrays
+from edoras_tools.wire.arrays import Integers, Mask, by_value, changes, distinct_rows, order_by
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -691,8 +691,8 @@ def _ordered(batch: PacketBatch, columns: Columns, rows: Integers) -> _Groups:
     route = columns.link[first].astype(np.uint64) << 32 | columns.msg_id[first].astype(np.uint64)
     route += (columns.spacecraft[first].astype(np.uint64) - 1) << 40
     sender = np.where(identity, identity, source).astype(np.uint64)
-    keys = sums.stirred(route + sender * sums.MIX)
-    keys = sums.stirred(keys + receiver * (identity != 0))
+    keys = arrays.stirred(route + sender * arrays.MIX)
+    keys = arrays.stirred(keys + receiver * (identity != 0))
     unique, _, which = distinct_rows(keys)
     if len(unique) == len(keys):
         return _Groups(rows, starts, keys)
@@ -726,7 +726,7 @@ def _prints(batch: PacketBatch, columns: Columns, groups: _Groups, odd: Integers
     own = groups.rows[selection]
     prints = np.zeros(len(groups.rows), np.uint32)
     prints[selection] = (
-        sums.of_bytes(batch.data, columns.packet_offset[own], columns.packet_length[own]) >> 32
+        arrays.of_bytes(batch.data, columns.packet_offset[own], columns.packet_length[own]) >> 32
     )
     return prints
 

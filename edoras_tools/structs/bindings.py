@@ -22,8 +22,7 @@ from edoras_tools.structs.messages import HEADER_FIELDS, parts
 from edoras_tools.structs.shapes import SHIPPED, Key, Member, Struct, StructLayout
 from edoras_tools.structs.transcode import HEAD, MOST_VALUES, Counter, StructPlan
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, by_value, gather
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

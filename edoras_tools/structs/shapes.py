@@ -34,7 +34,7 @@ PACKETS: Final = {
     0x0880: "TO_LAB_HkTlm",
     0x0884: "CI_LAB_HkTlm",
 }
-"""Struct name by MsgId of version 1; :mod:`edoras_tools.structs.cfe` describes these structs."""
+"""Struct name by MsgId of version 1; :mod:`edoras_tools.structs.files` describes these structs."""
 COMMANDED: Final = (
     *(0x1801, 0x1803, 0x1804, 0x1805, 0x1806, telemetry_output.COMMAND_MSG_ID),
     *(0x1895, 0x18B3, 0x18BB, sbn.COMMAND_MSG_ID),

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.shapes import ENTRY_KEY, UDP_KEY, Key, LayoutEntry, StructLayout, commanded, packets
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, changes, order_by
+from edoras_tools.wire.arrays import Integers, Mask, Octets, changes, order_by
 from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
@@ -72,9 +72,9 @@ class Structs:
     def layouts(self) -> tuple[StructLayout, ...]:
         """The layouts, in order."""
         if self._layouts is None:
-            from edoras_tools.structs import cfe
+            from edoras_tools.structs import files
 
-            layout = cfe.shipped_layout(self.msg_ids)
+            layout = files.shipped_layout(self.msg_ids)
             return (replace(layout, byte_order="big") if self.big_endian else layout,)
         return tuple(self._layouts)
 

@@ -18,12 +18,12 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.ros.types.schema import PRIMITIVES
 from edoras_tools.structs.messages import HEADER_FIELDS, parts, primitive
 from edoras_tools.structs.shapes import Basic, BasicKind, Member, Struct, StructLayout
-from edoras_tools.wire.arrays.window import copy_rows, put_rows
+from edoras_tools.wire.arrays import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Octets
+    from edoras_tools.wire.arrays import Integers, Octets
 
 
 _CDR_LE: Final = bytes((0, 1, 0, 0))

@@ -22,7 +22,7 @@ from edoras_tools.wire.layout import Field, Layout
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Octets
+    from edoras_tools.wire.arrays import Octets
 
 TELEMETRY_TYPE: Final = 0
 TELECOMMAND_TYPE: Final = 1

@@ -24,7 +24,7 @@ from edoras_tools.wire.layout import Field, Layout
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Octets
+    from edoras_tools.wire.arrays import Octets
 
 HIGHEST_MSG_ID: Final = 0x1FFF
 """cFE refuses a larger MsgId (CFE_PLATFORM_SB_HIGHEST_VALID_MSGID)."""

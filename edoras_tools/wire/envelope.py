@@ -18,8 +18,7 @@ import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError, TruncatedError
-from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16, crc16_rows, crc32, crc32_rows
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import CRC16_BYTES, crc16, crc16_rows, crc32, crc32_rows, gather
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 CDR_BE: Final = 0x0000
 CDR_LE: Final = 0x0001

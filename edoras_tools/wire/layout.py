@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Octets
+    from edoras_tools.wire.arrays import Octets
 
 _WORDS: Final = (1, 2, 3, 4, 8)
 _FLOATS: Final = {4: "f", 8: "d"}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 
-from edoras_tools.wire.arrays.sums import CRC16_BYTES
+from edoras_tools.wire.arrays import CRC16_BYTES
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import ENDS, FramePage
 from edoras_tools.model import SourceInfo
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.wire.arrays.window import copy_rows, gather, put_rows
+from edoras_tools.wire.arrays import copy_rows, gather, put_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

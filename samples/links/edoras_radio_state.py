@@ -13,11 +13,10 @@ import numpy as np
 from edoras_radio_link import HEADER, PORT, RADIO
 
 from edoras_tools.diagnosis.verdict import Verdict, error
-from edoras_tools.io.topics.rows import APART, RECORD, Messages, whole_messages
+from edoras_tools.io.topics.messages import APART, RECORD, Messages, whole_messages
 from edoras_tools.links.doors import LinkEvidence
 from edoras_tools.links.protocol import LinkSending
-from edoras_tools.wire.arrays.order import by_value
-from edoras_tools.wire.arrays.window import PADDING, gather
+from edoras_tools.wire.arrays import PADDING, by_value, gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -351,7 +351,7 @@ def constants(path):
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 def test_any_number_of_processes_says_the_same(call, rovers, tmp_path, monkeypatch):
     whole, _ = rovers
-    monkeypatch.setattr("edoras_tools.io.processors._LARGE", 1)
+    monkeypatch.setattr("edoras_tools.io.processes._LARGE", 1)
     monkeypatch.setattr(examination, "CHAPTER", 400)
     for name in ("FIRST", "_SECOND_WINDOW", "SLICE"):
         monkeypatch.setattr(stream, name, 16 << 10)

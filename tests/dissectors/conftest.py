@@ -15,8 +15,7 @@ import pytest
 from edoras_tools.addons.fprime.link import FPRIME
 from edoras_tools.addons.frames.link import FRAMES
 from edoras_tools.addons.frames.unframer import Unframer
-from edoras_tools.addons.racs2.link import RACS2
-from edoras_tools.addons.racs2.wire import BODY_FIELDS
+from edoras_tools.addons.racs2.link import BODY_FIELDS, RACS2
 from edoras_tools.addons.wireshark.lua import dissector
 from edoras_tools.cfs.arguments import SERVICES
 from edoras_tools.decode import ColumnDecoder, Context

@@ -15,7 +15,7 @@ from racs2_peer import Talk, to_cfs, to_ros
 from scapy.layers.l2 import Ether
 from streams import frames, sbn_messages, segments_of, write_segments
 
-from edoras_tools.addons.racs2 import wire as racs2
+from edoras_tools.addons.racs2 import link as racs2
 from edoras_tools.decode import Context, Dissector
 from edoras_tools.dissectors import scapy_layers
 from edoras_tools.io.frames.linklayer import Demux

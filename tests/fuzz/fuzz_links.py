@@ -21,7 +21,7 @@ from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.io.topics.rows import lay_out
+from edoras_tools.io.topics.messages import lay_out
 from edoras_tools.io.topics.streams import Streams
 from edoras_tools.mission import loads
 from edoras_tools.ros import TypeStore

@@ -55,7 +55,7 @@ from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor import diagnosis as view
 from edoras_tools.render.pages import Made
 from edoras_tools.ros import TypeStore
-from edoras_tools.wire.arrays.window import PADDING
+from edoras_tools.wire.arrays import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from waiting import until
 
-from edoras_tools.io import processors
-from edoras_tools.io import processors as module
-from edoras_tools.io.processors import Precedence, jobs_for, spare_processors
+from edoras_tools.io import processes
+from edoras_tools.io import processes as module
+from edoras_tools.io.processes import Precedence, jobs_for, spare_processors
 from edoras_tools.model import SourceStatistics
 
 
@@ -33,7 +33,7 @@ from edoras_tools.model import SourceStatistics
 )
 def test_those_that_run_are_counted(cores, told, spare, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
-    monkeypatch.setattr(processors, "_LOAD", tmp_path / "loadavg")
+    monkeypatch.setattr(processes, "_LOAD", tmp_path / "loadavg")
     if told is not None:
         (tmp_path / "loadavg").write_text(told)
     assert spare_processors() == spare
@@ -78,8 +78,8 @@ def system(monkeypatch):
 
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(os, "sched_setscheduler", take)
-    monkeypatch.setattr(processors.time, "monotonic_ns", lambda: made.now)
-    monkeypatch.setattr(processors.time, "thread_time_ns", lambda: made.busy)
+    monkeypatch.setattr(processes.time, "monotonic_ns", lambda: made.now)
+    monkeypatch.setattr(processes.time, "thread_time_ns", lambda: made.busy)
     return made
 
 

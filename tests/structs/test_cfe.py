@@ -14,7 +14,7 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.ros.types.schema import STRINGS, parse_definition
 from edoras_tools.structs import shipped_structs
 from edoras_tools.structs.bindings import payloads
-from edoras_tools.structs.cfe import shipped_layout as layout
+from edoras_tools.structs.files import shipped_layout as layout
 from edoras_tools.structs.shapes import COMMANDED, PACKETS
 
 CAPTURES = sorted((CAPTURES).glob("*.pcap*"))

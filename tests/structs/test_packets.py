@@ -15,7 +15,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.mission import loads as load_mission
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.ros import TypeStore
-from edoras_tools.structs import Structs, cfe, shipped_structs
+from edoras_tools.structs import Structs, files, shipped_structs
 from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.files import parse_layout
 from edoras_tools.wire import cfe as wire
@@ -228,7 +228,7 @@ def test_a_mission_goes_before_a_struct():
 
 def test_ones_own_go_before_those_that_are_shipped():
     layout = parse_layout(b"bind: {0x0800: Mine}\nstructs: {Mine: {members: {a: uint16}}}", "mine.yaml")
-    where = Context(structs=Structs([layout, cfe.shipped_layout()]))
+    where = Context(structs=Structs([layout, files.shipped_layout()]))
     assert dissect(wire.emit_telemetry(0x0800, b"\1\2"), where).message.values["a"] == 0x0201
     assert Finding.STRUCT_LENGTH in dissect(wire.emit_telemetry(0x0800, bytes(148)), where).findings
 

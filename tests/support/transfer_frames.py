@@ -11,7 +11,7 @@ from rewriting import Udp, _packets
 from spacepackets.ccsds import tm_frame
 
 from edoras_tools.io.frames.linklayer import LINKTYPE_RAW, FrameBatch, demux
-from edoras_tools.wire.arrays.window import PADDING
+from edoras_tools.wire.arrays import PADDING
 
 GROUND, CRAFT = ("10.0.0.1", 5111), ("10.0.0.2", 40000)
 

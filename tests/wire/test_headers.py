@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError, FieldError, TruncatedError, WireError
 from edoras_tools.model import Peer
-from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.arrays import window
+from edoras_tools.wire import arrays, ccsds, cfe, sbn
 from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, detect, intact_rows
 
@@ -270,7 +269,7 @@ def test_one_byte_lengths_hold_small_messages_only():
 def test_windows_are_the_bytes_and_zeros_beyond(data, draw):
     offsets = draw.draw(st.lists(st.integers(0, len(data)), max_size=8))
     width = draw.draw(st.integers(1, 90))
-    rows = window.gather(np.frombuffer(data, np.uint8), np.array(offsets, np.int64), width)
+    rows = arrays.gather(np.frombuffer(data, np.uint8), np.array(offsets, np.int64), width)
     assert [bytes(row) for row in rows] == [data[at : at + width].ljust(width, b"\0") for at in offsets]
 
 
@@ -281,8 +280,8 @@ def test_ranges_are_folded_like_the_loop_would(data, draw):
     array = np.frombuffer(data, np.uint8)
     offset, length = np.array([r[0] for r in ranges], np.int64), np.array([r[1] for r in ranges], np.int32)
     pieces = [data[at : at + size] for at, size in ranges]
-    assert list(window.any_nonzero(array, offset, length)) == [any(piece) for piece in pieces]
-    assert [0xFF ^ int(x) for x in window.xor_bytes(array, offset, length)] == [
+    assert list(arrays.any_nonzero(array, offset, length)) == [any(piece) for piece in pieces]
+    assert [0xFF ^ int(x) for x in arrays.xor_bytes(array, offset, length)] == [
         cfe.checksum(p) for p in pieces
     ]
 

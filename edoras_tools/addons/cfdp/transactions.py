@@ -30,12 +30,10 @@ import numpy as np
 
 from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.addons.cfdp.link import CFDP, holds_pdu
-from edoras_tools.io.topics.rows import RECORD, Messages, whole_messages
+from edoras_tools.io.topics.messages import RECORD, Messages, whole_messages
 from edoras_tools.links.doors import LinkEvidence, TopicSpace
 from edoras_tools.sessions.ranges import KnownRanges
-from edoras_tools.wire.arrays.order import Integers, Octets, Places, numbered
-from edoras_tools.wire.arrays.sums import FileCrc
-from edoras_tools.wire.arrays.window import PADDING, copy_rows
+from edoras_tools.wire.arrays import PADDING, FileCrc, Integers, Octets, Places, copy_rows, numbered
 from edoras_tools.wire.envelope import detect
 
 if TYPE_CHECKING:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
     from edoras_tools.ros import TypeStore
-    from edoras_tools.wire.arrays.order import Integers
+    from edoras_tools.wire.arrays import Integers
 
 _KEYWORDS: Final = frozenset(
     """

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from edoras_tools.addons.debug_info.dwarf import SOURCE_SUFFIXES, DebugInfo, Listed, compiled, struct_name
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.outputs import write_files
-from edoras_tools.structs import cfe
+from edoras_tools.structs import files
 from edoras_tools.structs.bindings import Bindings
 from edoras_tools.structs.files import LAYOUT_FILE, dumps, load_together
 from edoras_tools.structs.shapes import ENTRY_KEY, Key, StructLayout
@@ -92,8 +92,8 @@ def open_types(
     Raises:
         ConfigError: a file cannot be read.
     """
-    if path is None or (str(path) == cfe.LAYOUT_NAME and not path.exists()):
-        return LayoutFile(cfe.shipped_layout())
+    if path is None or (str(path) == files.LAYOUT_NAME and not path.exists()):
+        return LayoutFile(files.shipped_layout())
     if path.suffix.lower() in SOURCE_SUFFIXES and not more:
         return compiled(path, include, flags)
     try:

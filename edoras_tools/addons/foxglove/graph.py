@@ -19,7 +19,7 @@ from edoras_tools.addons.foxglove.server.protocol import Publisher
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.net.sockets import reach_note
-from edoras_tools.io.topics.rows import Records
+from edoras_tools.io.topics.messages import Records
 from edoras_tools.io.topics.streams import Topic
 from edoras_tools.middleware.graph import Graph, Qos, unknown_options
 from edoras_tools.model import Endpoint

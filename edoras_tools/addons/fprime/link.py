@@ -24,8 +24,7 @@ from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, Lin
 from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch, Transport
 from edoras_tools.wire import ccsds
 from edoras_tools.wire import transfer_frames as headers
-from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16_rows, crc32
-from edoras_tools.wire.arrays.window import gather, read_at
+from edoras_tools.wire.arrays import CRC16_BYTES, crc16_rows, crc32, gather, read_at
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Octets, Places
 
 
 class PacketType(IntEnum):

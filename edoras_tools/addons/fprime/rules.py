@@ -14,7 +14,7 @@ from edoras_tools.links.doors import LinkEvidence
 from edoras_tools.model import Columns, Datagram, Finding, PacketBatch
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import gather
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

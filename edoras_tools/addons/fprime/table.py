@@ -23,8 +23,7 @@ from edoras_tools.structs.bindings import Bound, Encoded, StructPayloads, headed
 from edoras_tools.structs.messages import parts
 from edoras_tools.structs.shapes import ENTRY_KEY, Key, Member, Struct, StructLayout
 from edoras_tools.structs.transcode import HEAD, StructPlan
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value
-from edoras_tools.wire.arrays.window import copy_rows, gather, read_at
+from edoras_tools.wire.arrays import Integers, Mask, Octets, by_value, copy_rows, gather, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -15,10 +15,8 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.links.doors import Framing, Reading, Site, Unwrapper, prefixed
 from edoras_tools.links.protocol import BatchRows, LinkProtocol, LinkSending, Seen
 from edoras_tools.model import Datagram, Decoded, Finding, LayerField, Link, PacketBatch
+from edoras_tools.wire import arrays
 from edoras_tools.wire import transfer_frames as headers
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
-from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16, crc16_rows
-from edoras_tools.wire.arrays.window import gather
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FRAME_VERSIONS, NO_FIRST, FrameFormat
 
 if TYPE_CHECKING:
@@ -46,38 +44,43 @@ class TransferFraming(Framing):
         self.form = form
         self.checked = form.fecf
 
-    def lengths(self, data: Octets, at: Integers, end: Integers | int) -> Integers:
+    def lengths(
+        self, data: arrays.Octets, at: arrays.Integers, end: arrays.Integers | int
+    ) -> arrays.Integers:
         """Return the size in bytes of the frame that starts at each position."""
         layout = self.form.layout
-        field = partial(layout.column, window=gather(data, at, layout.size))
+        field = partial(layout.column, window=arrays.gather(data, at, layout.size))
         size = np.broadcast_to(_stated_length(self.form, field), at.shape)
         starts = _begins_frame(self.form, field, size)
         return prefixed(starts, size, end - at, layout.size, self.largest)
 
-    def likely(self, data: Octets, at: Integers, end: Integers | int) -> Mask:
+    def likely(self, data: arrays.Octets, at: arrays.Integers, end: arrays.Integers | int) -> arrays.Mask:
         """Find whole frames: with a correct CRC; without CRCs, the last one, or before a matching one."""
         size = self.lengths(data, at, end)
         likely = (size > 0) & (at + size <= end)
         rows = np.flatnonzero(likely)
         if self.form.fecf:
-            likely[rows] = crc16_rows(data, at[rows], size[rows].astype(np.int32)) == 0
+            likely[rows] = arrays.crc16_rows(data, at[rows], size[rows].astype(np.int32)) == 0
         else:
             likely[rows] = self._goes_on(
                 data, at[rows], at[rows] + size[rows], np.broadcast_to(end, len(at))[rows]
             )
         return likely
 
-    def _goes_on(self, data: Octets, at: Integers, behind: Integers, end: Integers) -> Mask:
+    def _goes_on(
+        self, data: arrays.Octets, at: arrays.Integers, behind: arrays.Integers, end: arrays.Integers
+    ) -> arrays.Mask:
         """Return where the end or a frame that matches follows: next count, or, in AOS, another channel."""
         layout, count = self.form.layout, _COUNTS[self.form.kind]
         followed = behind + layout.size <= end
         one, other = (
-            layout.columns(gather(data, place, layout.size)) for place in (at, np.where(followed, behind, at))
+            layout.columns(arrays.gather(data, place, layout.size))
+            for place in (at, np.where(followed, behind, at))
         )
         step = (other[count].astype(np.int64) - one[count]) & layout.by_name[count].mask
         same = other["virtual_channel_id"] == one["virtual_channel_id"]
         goes_on = (step == 1) | ~(same | (self.form.kind != "aos"))
-        agree: Mask = goes_on & (other["spacecraft_id"] == one["spacecraft_id"])
+        agree: arrays.Mask = goes_on & (other["spacecraft_id"] == one["spacecraft_id"])
         version = "transfer_frame_version_number"
         agree &= other[version] == one[version]
         agree &= followed
@@ -115,7 +118,7 @@ class TransferFramesLink(LinkProtocol):
         field = form.layout.parse(payload).__getitem__
         return bool(_begins_frame(form, field, length) & (length == _stated_length(form, field)))
 
-    def claimed(self, batch: PacketBatch, site: Site) -> Places:
+    def claimed(self, batch: PacketBatch, site: Site) -> arrays.Places:
         """Return the rows of a batch that are frames."""
         return frame_rows(batch, site.frames)[0]
 
@@ -148,22 +151,24 @@ class TransferFramesLink(LinkProtocol):
         for layout, start in _headers(form, bool(form.kind == "tm" and data[_TM_FLAGS] >> 7)):
             reading.read(layout, start)
         if form.fecf and Finding.CAPTURE_CUT not in reading.findings:
-            start, end = len(data) - CRC16_BYTES, len(data)
-            value, right = int.from_bytes(data[start:], "big"), crc16(data[:start])
+            start, end = len(data) - arrays.CRC16_BYTES, len(data)
+            value, right = int.from_bytes(data[start:], "big"), arrays.crc16(data[:start])
             text = f"0x{value:04x}" + (f", but the frame has 0x{right:04x}" if value != right else "")
             reading.extend(LayerField("frame_error_control", value, start, end, text, "CRC-16 of the frame"))
 
-    def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
+    def places(
+        self, layout: Layout, rows: BatchRows, field: str = ""
+    ) -> tuple[arrays.Places, arrays.Integers]:
         """Find one of the headers; which ones there are depends on the kind of frame."""
         places = np.full(len(rows.column("link")), NO_FIRST, np.int64)
         owner = np.flatnonzero(rows.column("link") == self)
         to_port, from_port = (rows.datagram(f"{end}_port")[owner] for end in ("destination", "source"))
         streams = rows.batch.streams is not None and rows.datagram("streams")[owner]
-        for port, picked in by_value(_framed_ports(to_port, from_port, streams, rows.context.frames)):
+        for port, picked in arrays.by_value(_framed_ports(to_port, from_port, streams, rows.context.frames)):
             at, form = owner[picked], rows.context.frames[port]
             offset, end = rows.datagram("offset")[at], rows.datagram("length")[at]
             second = headers.TM.column(
-                "secondary_header_flag", gather(rows.batch.data, offset, headers.TM.size)
+                "secondary_header_flag", arrays.gather(rows.batch.data, offset, headers.TM.size)
             )
             for header, start in _headers(form, second=True):
                 if header is layout:
@@ -199,7 +204,7 @@ def _headers(form: FrameFormat, second: bool) -> Iterator[tuple[Layout, int]]:
 
 def frame_rows(
     batch: PacketBatch, formats: Mapping[int, FrameFormat]
-) -> tuple[Places, NDArray[np.uint16], int]:
+) -> tuple[arrays.Places, NDArray[np.uint16], int]:
     """Find the frames of a batch, by port, version and length.
 
     Args:
@@ -214,7 +219,7 @@ def frame_rows(
     ports = _framed_ports(batch.destination_port, batch.source_port, streams, formats)
     rows = np.flatnonzero((ports != 0) & (batch.original_length >= 0))
     frames = np.zeros(len(rows), bool)
-    for port, at in by_value(ports[rows]):
+    for port, at in arrays.by_value(ports[rows]):
         frames[at] = _are_frames(batch, rows[at], formats[port])
     others = rows[~frames]
     if batch.streams is not None:
@@ -226,7 +231,7 @@ def frame_rows(
 def _framed_ports(
     destination: NDArray[np.uint16],
     source: NDArray[np.uint16],
-    streams: Mask | bool,
+    streams: arrays.Mask | bool,
     formats: Mapping[int, FrameFormat],
 ) -> NDArray[np.uint16]:
     """Return the port that determines the format of each row as a frame, u16 (n,); 0 for none.
@@ -261,9 +266,9 @@ def _begins_frame(form: FrameFormat, field: Callable[[str], Any], length: Any) -
     return (field("transfer_frame_version_number") == FRAME_VERSIONS[form.kind]) & (length >= form.smallest)
 
 
-def _are_frames(batch: PacketBatch, rows: Places, form: FrameFormat) -> Mask:
+def _are_frames(batch: PacketBatch, rows: arrays.Places, form: FrameFormat) -> arrays.Mask:
     layout, have = form.layout, batch.length[rows]
-    field = partial(layout.column, window=gather(batch.data, batch.offset[rows], layout.size))
+    field = partial(layout.column, window=arrays.gather(batch.data, batch.offset[rows], layout.size))
     length = have + np.maximum(batch.original_length[rows] - batch.frame_length[rows], 0)
-    whole: Mask = (have >= layout.size) & (length == _stated_length(form, field))
+    whole: arrays.Mask = (have >= layout.size) & (length == _stated_length(form, field))
     return whole & _begins_frame(form, field, length)

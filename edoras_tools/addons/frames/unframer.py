@@ -33,11 +33,8 @@ from edoras_tools.decode.columns import blank_columns
 from edoras_tools.io.frames.frame_batch import packets_behind
 from edoras_tools.model import NO_MSG_ID, Columns, Finding, PacketBatch
 from edoras_tools.sessions.sequence import MODULUS, SequenceCounts, SequenceStream
-from edoras_tools.wire import ccsds
+from edoras_tools.wire import arrays, ccsds
 from edoras_tools.wire import transfer_frames as headers
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value, numbered
-from edoras_tools.wire.arrays.sums import CRC16_BYTES, crc16_rows
-from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
 from edoras_tools.wire.transfer_frames import LATE, FrameFormat, count_modulus
 from edoras_tools.words import plural
 
@@ -126,7 +123,7 @@ class FrameChannel(msgspec.Struct, eq=False):
         self._last, self._position = int(count[-1]), int(position[-1])
         return position.astype(np.uint16)
 
-    def runs(self, count: NDArray[np.integer[Any]]) -> Integers:
+    def runs(self, count: NDArray[np.integer[Any]]) -> arrays.Integers:
         """Return each frame's run number, i64 (n,): within a run, each frame continues the one before."""
         if not self.has_count:
             return np.full(len(count), self._run)
@@ -159,13 +156,13 @@ class _Frames(NamedTuple):
     ``run``, ``start``, ``end`` and ``first`` are as in ``FrameChannel.runs`` and ``FrameFields``.
     """
 
-    row: Integers
-    channel: Integers
-    stream: Integers
-    run: Integers
-    start: Integers
-    end: Integers
-    first: Integers
+    row: arrays.Integers
+    channel: arrays.Integers
+    stream: arrays.Integers
+    run: arrays.Integers
+    start: arrays.Integers
+    end: arrays.Integers
+    first: arrays.Integers
 
 
 class Unframer(msgspec.Struct):
@@ -202,7 +199,7 @@ class Unframer(msgspec.Struct):
         batch = replace(batch, capture_findings=batch.capture_findings.copy())
         parts = [
             part
-            for port, at in by_value(ports)
+            for port, at in arrays.by_value(ports)
             if (part := self._read(batch, rows[at], self.formats[port])) is not None
         ]
         if not parts:
@@ -228,7 +225,7 @@ class Unframer(msgspec.Struct):
         )
         return notes + [f"transfer frames: {number:,} {trouble}" for number, trouble in counts if number]
 
-    def _read(self, batch: PacketBatch, rows: Integers, form: FrameFormat) -> _Frames | None:
+    def _read(self, batch: PacketBatch, rows: arrays.Integers, form: FrameFormat) -> _Frames | None:
         """Read the frames of one port and follow their counts."""
         read = read_frames(batch.data, batch.offset[rows], batch.length[rows], form)
         batch.capture_findings[rows[~read.fits]] |= np.uint32(Finding.TRUNCATED)
@@ -245,7 +242,7 @@ class Unframer(msgspec.Struct):
         again = self._follow(batch.take(rows), read, channel)
         rows, read, channel = rows[~again], _selected(read, ~again), channel[~again]
         run = np.zeros(len(rows), np.int64)
-        for index, at in by_value(channel):
+        for index, at in arrays.by_value(channel):
             state = self.channels[index]
             state.frames += len(at)
             state.idle += int(np.count_nonzero(read.idle[at]))
@@ -257,7 +254,9 @@ class Unframer(msgspec.Struct):
         self._states += [_Stream() for _ in range(len(self._streams) - len(self._states))]
         return _Frames(rows, channel, np.array(streams, np.int64), run, read.start, read.end, read.first)
 
-    def _channels(self, batch: PacketBatch, rows: Integers, read: FrameFields, form: FrameFormat) -> Integers:
+    def _channels(
+        self, batch: PacketBatch, rows: arrays.Integers, read: FrameFields, form: FrameFormat
+    ) -> arrays.Integers:
         """Return the index of the channel of each frame, ``_NONE`` beyond the limit; i64 (n,)."""
         if not len(rows):
             return rows
@@ -269,7 +268,7 @@ class Unframer(msgspec.Struct):
             batch.ip_version,
         )
         names = read.spacecraft_id, read.virtual_channel_id, read.has_count.view(np.uint8)
-        first, which = numbered(*(column[rows] for column in ends), *names)
+        first, which = arrays.numbered(*(column[rows] for column in ends), *names)
         numbers = []
         for at in first.tolist():
             packet = batch[int(rows[at])]
@@ -293,14 +292,14 @@ class Unframer(msgspec.Struct):
         self.masters.append(replace(channel, virtual_channel_id=None))
         return len(self.masters) - 1
 
-    def _follow(self, frames: PacketBatch, read: FrameFields, channel: Integers) -> Mask:
+    def _follow(self, frames: PacketBatch, read: FrameFields, channel: arrays.Integers) -> arrays.Mask:
         """Follow the counts of both levels; return which frames repeat an earlier one, bool (n,)."""
         again = _followed(
             self._counts, frames, self.channels, np.where(read.has_count, channel, _NONE), read.count
         )
         master = np.array(self._master_of, np.int64)[channel]
         _followed(self._master_counts, frames, self.masters, master, read.master_count)
-        for index, at in by_value(master):
+        for index, at in arrays.by_value(master):
             if index != _NONE:
                 self.masters[index].frames += len(at)
         return again
@@ -314,7 +313,7 @@ class Unframer(msgspec.Struct):
         batch.capture_findings[frames.row[cut]] |= np.uint32(Finding.STREAM_GAP)
         idle = (laid.words() & ccsds.IDLE_APID) == ccsds.IDLE_APID
         owner = laid.owner()
-        for index, at in by_value(frames.channel):
+        for index, at in arrays.by_value(frames.channel):
             channel = self.channels[index]
             own = frames.channel[owner] == index
             channel.cut += int(np.count_nonzero(cut[at]))
@@ -363,14 +362,14 @@ class _Laid:
         self._at = ends - size
         self._begin = self._at[self._heads] - ahead
         self._end = ends[np.append(self._heads[1:], len(ends)) - 1]
-        self.buffer = np.zeros(int(ends[-1]) + PADDING, np.uint8)
-        copy_rows(self.buffer, self._at, batch.data, frames.start, size)
+        self.buffer = np.zeros(int(ends[-1]) + arrays.PADDING, np.uint8)
+        arrays.copy_rows(self.buffer, self._at, batch.data, frames.start, size)
         for place, rest in zip(self._begin.tolist(), rests, strict=True):
             self.buffer[place : place + len(rest)] = np.frombuffer(rest, np.uint8)
         self._point(ahead > 0, np.cumsum(begins) - 1)
         self._walk()
 
-    def _point(self, rests: Mask, segment: Integers) -> None:
+    def _point(self, rests: arrays.Mask, segment: arrays.Integers) -> None:
         """Collect the pointers, rising: one for each rest, one for each frame that has one."""
         pointed = np.flatnonzero(self._frames.first >= 0)
         inside = self._frames.first[pointed] - self._frames.start[pointed]
@@ -391,7 +390,7 @@ class _Laid:
         active, starts, lengths = np.arange(len(self._pointer)), [], []
         while len(active := active[self._stop[active] < self._limit[active]]):
             place = self._stop[active]
-            head = gather(self.buffer, place, ccsds.PRIMARY.size)
+            head = arrays.gather(self.buffer, place, ccsds.PRIMARY.size)
             length = ccsds.PRIMARY.column("packet_data_length", head) + np.int64(ccsds.LENGTH_BIAS)
             room = self._limit[active] - place
             other = ccsds.PRIMARY.column("packet_version_number", head) != 0
@@ -407,7 +406,7 @@ class _Laid:
         order = np.argsort(start, kind="stable")
         self.start, self.length = start[order], length[order]
 
-    def settle(self) -> Mask:
+    def settle(self) -> arrays.Mask:
         """Keep incomplete packets for the next batch; return at which frames a packet is cut, bool (n,)."""
         cut = np.zeros(len(self._frames.row), bool)
         inner = np.flatnonzero(self._open & ~self._last)
@@ -432,18 +431,18 @@ class _Laid:
 
     def words(self) -> NDArray[np.integer[Any]]:
         """Return the first word of each packet."""
-        return gather(self.buffer, self.start, 2).view(">u2")[:, 0]
+        return arrays.gather(self.buffer, self.start, 2).view(">u2")[:, 0]
 
-    def owner(self) -> Integers:
+    def owner(self) -> arrays.Integers:
         """Return the frame in which each packet ends."""
         return np.searchsorted(self._at, self.start + self.length - 1, side="right") - 1
 
-    def others(self) -> Integers:
+    def others(self) -> arrays.Integers:
         """Return the frames in which something starts that is not a space packet."""
         return np.searchsorted(self._at, self._stop[self._other], side="right") - 1
 
 
-def _selected(read: FrameFields, rows: Mask) -> FrameFields:
+def _selected(read: FrameFields, rows: arrays.Mask) -> FrameFields:
     return FrameFields(**{name: getattr(read, name)[rows] for name in FrameFields.__struct_fields__})
 
 
@@ -451,9 +450,9 @@ def _followed(
     counts: SequenceCounts,
     frames: PacketBatch,
     channels: list[FrameChannel],
-    which: Integers,
+    which: arrays.Integers,
     count: NDArray[np.integer[Any]],
-) -> Mask:
+) -> arrays.Mask:
     """Follow a count of frames; return which frames repeat an earlier one with the same bytes, bool (n,).
 
     Args:
@@ -469,7 +468,7 @@ def _followed(
         "packet_offset": frames.offset,
         "packet_length": frames.length,
     }
-    groups = [(index, at) for index, at in by_value(which) if index != _NONE]
+    groups = [(index, at) for index, at in arrays.by_value(which) if index != _NONE]
     for index, at in groups:
         columns["sequence_count"][at] = channels[index].unwrapped(count[at])
     result = counts.follow(frames, Columns(**columns))
@@ -498,22 +497,22 @@ class FrameFields(msgspec.Struct, frozen=True, eq=False):
         idle: bool, the frame was sent without packets.
     """
 
-    fits: Mask
-    error: Mask
+    fits: arrays.Mask
+    error: arrays.Mask
     spacecraft_id: NDArray[np.uint32]
-    virtual_channel_id: Octets
-    map_id: Octets
-    has_count: Mask
+    virtual_channel_id: arrays.Octets
+    map_id: arrays.Octets
+    has_count: arrays.Mask
     count: NDArray[np.uint32]
-    master_count: Octets
-    start: Integers
-    end: Integers
-    first: Integers
-    idle: Mask
+    master_count: arrays.Octets
+    start: arrays.Integers
+    end: arrays.Integers
+    first: arrays.Integers
+    idle: arrays.Mask
 
 
 def read_frames(
-    data: Octets, offset: Integers, length: NDArray[np.int32], form: headers.FrameFormat
+    data: arrays.Octets, offset: arrays.Integers, length: NDArray[np.int32], form: headers.FrameFormat
 ) -> FrameFields:
     """Read many frames of one kind; no content of theirs can make this raise.
 
@@ -523,14 +522,14 @@ def read_frames(
         length: i32 (n,), size of each frame in bytes; at least that of the primary header.
         form: format of all of the frames.
     """
-    head = form.layout.columns(gather(data, offset, form.layout.size))
+    head = form.layout.columns(arrays.gather(data, offset, form.layout.size))
     none = np.zeros(len(offset), np.uint8)
     start = offset + form.data_start
-    end = offset + length - CRC16_BYTES * form.fecf
+    end = offset + length - arrays.CRC16_BYTES * form.fecf
     has_count, map_id, master = np.ones(len(offset), bool), none, none
     spacecraft = head["spacecraft_id"].astype(np.uint32)
     # Positions past the end of the data are not read: the window of a short frame is filled with zeros.
-    behind = gather(data, np.minimum(start, len(data)), 2)
+    behind = arrays.gather(data, np.minimum(start, len(data)), 2)
     if form.kind == "tm":
         second = headers.TM_SECONDARY.column("secondary_header_length", behind) + np.int64(1)
         start = start + second * head["secondary_header_flag"]
@@ -558,7 +557,7 @@ def read_frames(
     fits = (idle & (form.kind == "tc")) | (start <= end) & (first < np.maximum(end, start + 1))
     return FrameFields(
         fits,
-        crc16_rows(data, offset, length) != 0 if form.fecf else np.zeros(len(offset), bool),
+        arrays.crc16_rows(data, offset, length) != 0 if form.fecf else np.zeros(len(offset), bool),
         spacecraft,
         head["virtual_channel_id"],
         map_id,

@@ -23,7 +23,7 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, Endpoint, Link, Pac
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.ros.store import types_that_fit
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import Places, by_value
+from edoras_tools.wire.arrays import Places, by_value
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat, detect
 from edoras_tools.words import listed, plural
 

@@ -31,7 +31,7 @@ from edoras_tools.errors import os_errors
 from edoras_tools.io.net.sockets import local_endpoint
 from edoras_tools.links.doors import NOT_A_MESSAGE
 from edoras_tools.links.table import protocol
-from edoras_tools.wire.arrays.window import PADDING
+from edoras_tools.wire.arrays import PADDING
 
 if TYPE_CHECKING:
     from edoras_tools.model import Endpoint

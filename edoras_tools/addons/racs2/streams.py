@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.addons.racs2 import wire as racs2
+from edoras_tools.addons.racs2 import link as racs2
 from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, MessageContents
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.window import copy_rows, gather
+from edoras_tools.wire.arrays import copy_rows, gather
 
 if TYPE_CHECKING:
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 
 class Opcode(IntEnum):

@@ -17,14 +17,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.addons.racs2 import wire as racs2
+from edoras_tools.addons.racs2 import link as racs2
 from edoras_tools.addons.racs2.link import RACS2
 from edoras_tools.errors import FieldError
-from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, whole_messages
+from edoras_tools.io.topics.messages import RECORD, Messages, bodies_of, whole_messages
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import Places, by_value
-from edoras_tools.wire.arrays.window import copy_rows, gather
+from edoras_tools.wire.arrays import Places, by_value, copy_rows, gather
 from edoras_tools.wire.envelope import ENCAPSULATION
 
 if TYPE_CHECKING:

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import numpy as np
 
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.io.topics.rows import RECORD, RECORD_BYTES, lay_out
+from edoras_tools.io.topics.messages import RECORD, RECORD_BYTES, lay_out
 from edoras_tools.io.topics.streams import OWN_TOPICS, QOS_METADATA, RecordedStreams, Streams, Topic
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import gather
 from edoras_tools.words import did_you_mean, listed
 
 if TYPE_CHECKING:

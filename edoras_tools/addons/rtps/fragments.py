@@ -32,8 +32,7 @@ from edoras_tools.links.doors import MOST_ENDPOINTS, Site
 from edoras_tools.model import Columns, PacketBatch
 from edoras_tools.sessions.ranges import KnownRanges
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Octets, numbered
-from edoras_tools.wire.arrays.window import PADDING, copy_rows
+from edoras_tools.wire.arrays import PADDING, Integers, Octets, copy_rows, numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

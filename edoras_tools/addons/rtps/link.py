@@ -20,7 +20,7 @@ if TYPE_CHECKING:
         Site,
         TopicSpace,
     )
-    from edoras_tools.wire.arrays.order import Integers, Places
+    from edoras_tools.wire.arrays import Integers, Places
     from edoras_tools.wire.layout import Layout
 
 RTPS_MAGIC: Final = b"RTPS"

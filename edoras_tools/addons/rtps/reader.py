@@ -20,7 +20,7 @@ from edoras_tools.addons.rtps.wire.messages import (
 )
 from edoras_tools.links.protocol import BatchRows, Located
 from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, numbered
+from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

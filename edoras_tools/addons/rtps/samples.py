@@ -24,11 +24,10 @@ from edoras_tools.decode.filters.rows import (
     Series,
     ValueKind,
 )
-from edoras_tools.io.topics.rows import APART, RECORD, Messages, whole_messages
+from edoras_tools.io.topics.messages import APART, RECORD, Messages, whole_messages
 from edoras_tools.links.doors import MOST_ENDPOINTS, Endpoints, KnownSamples, TopicSpace
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_value
-from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
+from edoras_tools.wire import arrays
 from edoras_tools.wire.envelope import CDR_LE, ENCAPSULATION
 from edoras_tools.words import listed, plural
 
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
 
 
 def known_samples(
-    types: TypeStore | None, endpoints: Endpoints, batch: PacketBatch, rows: Places
+    types: TypeStore | None, endpoints: Endpoints, batch: PacketBatch, rows: arrays.Places
 ) -> Iterator[KnownSamples]:
     """Yield the samples of each topic and type.
 
@@ -75,7 +74,7 @@ class _Reader:
     known_samples = staticmethod(known_samples)
     rows_on = staticmethod(reader.rows_on)
 
-    def writers(self, batch: PacketBatch, rows: Places) -> list[bytes]:
+    def writers(self, batch: PacketBatch, rows: arrays.Places) -> list[bytes]:
         """Return the GUIDs of the writers in some rows."""
         return reader.named_submessages(batch, rows).writers
 
@@ -88,10 +87,10 @@ class _Reader:
 READER: Final = _Reader()
 
 
-def _is_plain(data: Octets, samples: reader.TopicSamples) -> Mask:
+def _is_plain(data: arrays.Octets, samples: reader.TopicSamples) -> arrays.Mask:
     """Return which samples are plain CDR, like ROS messages: bool (n,)."""
     whole = samples.end - samples.start >= ENCAPSULATION.size
-    head = gather(data, np.where(whole, samples.start, 0), ENCAPSULATION.size)
+    head = arrays.gather(data, np.where(whole, samples.start, 0), ENCAPSULATION.size)
     return whole & (ENCAPSULATION.column("representation", head) <= CDR_LE)
 
 
@@ -102,7 +101,7 @@ class LeftSamples:
         self._early: Counter[bytes] = Counter()
         self._all: Counter[bytes] = Counter()
 
-    def add(self, batch: PacketBatch, rows: Places, endpoints: Endpoints) -> None:
+    def add(self, batch: PacketBatch, rows: arrays.Places, endpoints: Endpoints) -> None:
         """Count the samples of a batch.
 
         Args:
@@ -240,10 +239,10 @@ class SampleMessages:
             self._names[key] = name
         return self._names.get(key, "")
 
-    def _new(self, item: KnownSamples) -> Mask:
+    def _new(self, item: KnownSamples) -> arrays.Mask:
         """Return which samples are new: bool (n,)."""
         new = np.ones(len(item.row), bool)
-        for writer, at in by_value(item.writer):
+        for writer, at in arrays.by_value(item.writer):
             guid = item.writers[writer]
             if guid not in self._ranges and len(self._ranges) >= MOST_ENDPOINTS:
                 continue
@@ -262,9 +261,9 @@ class SampleMessages:
         if not len(whole) or not name:
             return None
         size = (item.length - trailing)[whole].astype(np.int32)
-        start: Integers = np.cumsum(size, dtype=np.int64) - size
-        data = np.zeros(int(size.sum()) + PADDING, np.uint8)
-        copy_rows(data, start, batch.data, item.offset[whole], size)
+        start: arrays.Integers = np.cumsum(size, dtype=np.int64) - size
+        data = np.zeros(int(size.sum()) + arrays.PADDING, np.uint8)
+        arrays.copy_rows(data, start, batch.data, item.offset[whole], size)
         row, number = item.row[whole], self._space.place(name, item.type, _METADATA)
         log_ns = batch.time_ns[row]
         written_ns = np.where(item.written_ns[whole] >= 0, item.written_ns[whole], log_ns)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.rtps.wire.headers import Announcement
     from edoras_tools.links.doors import Site
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 _FIRST_PORT: Final = 7400
 _PORTS_OF_DOMAIN: Final = 250

@@ -39,7 +39,7 @@ from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 
 if TYPE_CHECKING:
     from edoras_tools.model import Columns, PacketBatch
-    from edoras_tools.wire.arrays.order import Integers, Places
+    from edoras_tools.wire.arrays import Integers, Places
 
 PRESENCE: Final = "ros_discovery_info"
 """Topic on which each ROS node announces its topics."""

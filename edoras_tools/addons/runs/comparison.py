@@ -38,7 +38,7 @@ from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding, Link
 from edoras_tools.units import MILLISECOND
-from edoras_tools.wire.arrays.sums import MIX, matches
+from edoras_tools.wire.arrays import MIX, matches
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.verdict import Choice
     from edoras_tools.mission import Mission
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Places
 
 _EARLY_NS: Final = MILLISECOND
 """Best accuracy of the alignment of two clocks."""

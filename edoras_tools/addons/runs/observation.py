@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.diagnosis.balance import not_counted, sent
 from edoras_tools.diagnosis.ledger import CAPTURE, Row
 from edoras_tools.errors import EdorasError, RouteError
-from edoras_tools.io.topics.rows import APART
+from edoras_tools.io.topics.messages import APART
 from edoras_tools.mission.tree import Mistakes
 from edoras_tools.model import NO_MSG_ID, rate_hz
 from edoras_tools.pipelines.capture.info import Counting

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.model import Columns, Decoded, PacketBatch
-    from edoras_tools.wire.arrays.order import Mask
+    from edoras_tools.wire.arrays import Mask
 
 
 class Where:

@@ -22,7 +22,7 @@ from edoras_tools.decode.filters.rows import (
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Finding
 from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import gather
 from edoras_tools.wire.envelope import DEFAULT, ENCAPSULATION
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.links.protocol import LinkProtocol
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
     from edoras_tools.wire.ccsds import MsgIds
     from edoras_tools.wire.layout import Layout, Slot
 

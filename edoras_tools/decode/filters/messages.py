@@ -40,7 +40,7 @@ from edoras_tools.structs.bindings import Bound, Encoded, Held, payloads
 from edoras_tools.structs.messages import INLINED, aliased, field_name
 from edoras_tools.structs.shapes import PACKETS, UDP_KEY
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays import by_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.links.doors import KnownSamples
     from edoras_tools.model import Decoded
-    from edoras_tools.wire.arrays.order import Integers, Mask
+    from edoras_tools.wire.arrays import Integers, Mask
 
     Owned = tuple[Integers, MessageColumns]
     """Rows that hold messages, and the messages."""

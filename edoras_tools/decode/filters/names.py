@@ -27,7 +27,7 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Fi
 from edoras_tools.ros.types.schema import full_name
 from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.shapes import OWN_LAYERS
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import either, listed
 
 if TYPE_CHECKING:

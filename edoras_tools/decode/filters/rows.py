@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.model import NO_ROUTE, Columns, Decoded, PacketBatch
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

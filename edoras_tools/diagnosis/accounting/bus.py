@@ -49,7 +49,7 @@ from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.model import Finding
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import Integers, Places, by_value
+from edoras_tools.wire.arrays import Integers, Places, by_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -24,7 +24,7 @@ from msgspec.structs import replace
 from edoras_tools.diagnosis.accounting.losses import COUNTERS, LEAD_NS, TAIL_NS
 from edoras_tools.diagnosis.evidence.loss_reports import PipeKind, Track
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, numbered
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_value, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

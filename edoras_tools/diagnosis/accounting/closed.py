@@ -62,7 +62,7 @@ from edoras_tools.diagnosis.matching.streams import Stream
 from edoras_tools.diagnosis.quality import CONFIDENCE
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_value, distinct
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_value, distinct
 from edoras_tools.wire.cfe import EVENT_MSG_ID
 from edoras_tools.wire.sbn import MsgType
 

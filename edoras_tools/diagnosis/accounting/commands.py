@@ -48,7 +48,7 @@ from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_r
 from edoras_tools.diagnosis.quality import CONFIDENCE, overlapping
 from edoras_tools.diagnosis.verdict import Verdict
 from edoras_tools.model import Finding
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key, distinct
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, distinct
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -28,8 +28,7 @@ from edoras_tools.diagnosis.evidence.timeline.table import NOT_RUNNING
 from edoras_tools.diagnosis.quality import binomial_tail, overlapping
 from edoras_tools.links import CFS_PORT
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key
-from edoras_tools.wire.arrays.sums import MIX
+from edoras_tools.wire.arrays import MIX, Integers, Mask, Places, by_key
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

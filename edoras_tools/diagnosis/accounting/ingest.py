@@ -39,7 +39,7 @@ from edoras_tools.diagnosis.accounting.losses import COUNTERS, LOST_AT, WAITS_NS
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.quality import largest_share, overlapping
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, changes, distinct, groups
+from edoras_tools.wire.arrays import Integers, Mask, Places, changes, distinct, groups
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence

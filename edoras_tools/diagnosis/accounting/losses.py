@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Span, Stream
     from edoras_tools.diagnosis.verdict import Confidence
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Places
 
 IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
 AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "route", "beside"]

@@ -58,7 +58,7 @@ from edoras_tools.diagnosis.matching.streams import Span, Stream, bursts
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import carrying
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key, by_value, distinct
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, by_value, distinct
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -49,9 +49,17 @@ from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.model import OTHER, Columns, Endpoint, PacketBatch
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import by_value, distinct, groups, numbered, perhaps_in, quantiles
-from edoras_tools.wire.arrays.sums import MIX, of_bytes
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import (
+    MIX,
+    by_value,
+    distinct,
+    gather,
+    groups,
+    numbered,
+    of_bytes,
+    perhaps_in,
+    quantiles,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -60,7 +68,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.payloads import Samples
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
+    from edoras_tools.wire.arrays import Integers, Mask, Places, Prints
 
 
 _WITHIN_NS: Final = 20 * MILLISECOND

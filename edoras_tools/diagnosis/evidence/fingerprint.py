@@ -24,9 +24,22 @@ from edoras_tools.links.bare import ROBOT
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.shapes import UDP_KEY
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints, in_16_bits, numbered
-from edoras_tools.wire.arrays.sums import HASHED_BYTES, MIX, WEIGHTS, finished, of_bytes, stirred
-from edoras_tools.wire.arrays.window import PADDING, gather
+from edoras_tools.wire.arrays import (
+    HASHED_BYTES,
+    MIX,
+    PADDING,
+    WEIGHTS,
+    Integers,
+    Mask,
+    Places,
+    Prints,
+    finished,
+    gather,
+    in_16_bits,
+    numbered,
+    of_bytes,
+    stirred,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -27,7 +27,7 @@ from edoras_tools.diagnosis.evidence.table import Rows, number_hosts, peer_of
 from edoras_tools.sessions.sequence import BOOT_APART_NS, MODULUS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_key, by_value, distinct, distinct_rows, groups, numbered
+from edoras_tools.wire.arrays import by_key, by_value, distinct, distinct_rows, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
     from edoras_tools.model import Endpoint
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Places
 
 _LEAST_ROWS: Final = 3
 _BASELINE_NS: Final = 5 * SECOND

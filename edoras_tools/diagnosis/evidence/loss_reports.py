@@ -12,7 +12,7 @@ import numpy as np
 from edoras_tools.cfs import sbn, software_bus, telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, numbered
+from edoras_tools.wire.arrays import Integers, Mask, Places, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -24,9 +24,7 @@ from edoras_tools.links import CFS_PORT, bare
 from edoras_tools.links.table import among
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.wire import cfe, sbn
-from edoras_tools.wire.arrays.order import Integers, Places, Prints, by_value, numbered
-from edoras_tools.wire.arrays.sums import of_bytes
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import Integers, Places, Prints, by_value, gather, numbered, of_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping

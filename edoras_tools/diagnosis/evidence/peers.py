@@ -28,7 +28,7 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import Integers, Places, by_key, groups, numbered
+from edoras_tools.wire.arrays import Integers, Places, by_key, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -12,14 +12,14 @@ from edoras_tools.links.icmp import quoted_rows
 from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
 from edoras_tools.units import MILLISECOND
-from edoras_tools.wire.arrays.sums import of_bytes
+from edoras_tools.wire.arrays import of_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Places
 
     Numbers = Callable[[PacketBatch], tuple[NDArray[np.int32], NDArray[np.int32]]]
     """Returns the endpoint numbers of source and destination of each datagram: i32 (n,) each."""

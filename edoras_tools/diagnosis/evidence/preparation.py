@@ -29,7 +29,7 @@ from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, fol
 from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, distinct, groups, numbered, perhaps_in
+from edoras_tools.wire.arrays import Integers, Mask, Places, distinct, groups, numbered, perhaps_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

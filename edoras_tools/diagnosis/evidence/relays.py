@@ -48,9 +48,7 @@ from edoras_tools.diagnosis.evidence.table import Rows, number_hosts
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import by_key, by_value, distinct, numbered
-from edoras_tools.wire.arrays.sums import MIX, of_bytes
-from edoras_tools.wire.arrays.window import PADDING
+from edoras_tools.wire.arrays import MIX, PADDING, by_key, by_value, distinct, numbered, of_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -59,7 +57,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.model import Endpoint
     from edoras_tools.sessions.faults.kinds import Fault
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
+    from edoras_tools.wire.arrays import Integers, Mask, Places, Prints
 
 
 PROXY_HOP: Final = "proxy"

@@ -19,9 +19,16 @@ from edoras_tools.links.table import among
 from edoras_tools.model import NO_ROUTE, OTHER, Columns, Endpoint, Finding, Link, PacketBatch, Peer
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceRows
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints, distinct, numbered
-from edoras_tools.wire.arrays.sums import of_bytes
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import (
+    Integers,
+    Mask,
+    Places,
+    Prints,
+    distinct,
+    gather,
+    numbered,
+    of_bytes,
+)
 from edoras_tools.wire.ccsds import VERSION_1
 
 if TYPE_CHECKING:

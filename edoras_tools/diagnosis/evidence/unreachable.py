@@ -28,7 +28,7 @@ from edoras_tools.diagnosis.evidence.fingerprint import brackets
 from edoras_tools.diagnosis.evidence.table import Rows, number_hosts
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, numbered
+from edoras_tools.wire.arrays import Integers, Mask, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

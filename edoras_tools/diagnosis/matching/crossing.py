@@ -23,8 +23,7 @@ from edoras_tools.diagnosis.evidence.fingerprint import paired
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import distinct, numbered, perhaps_in, quantiles
-from edoras_tools.wire.arrays.sums import MIX
+from edoras_tools.wire.arrays import MIX, distinct, numbered, perhaps_in, quantiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterator, Sequence
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.streams import Stream
-    from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints
+    from edoras_tools.wire.arrays import Integers, Mask, Places, Prints
 
 _LONGEST_NS: Final = 120 * SECOND
 """Longest time under way: CI reads a full socket within a minute and a half."""

@@ -26,7 +26,7 @@ from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding, Link, rate_hz
 from edoras_tools.sessions.sequence import FORWARD, MODULUS
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, distinct, distinct_rows, groups, numbered, quantiles
+from edoras_tools.wire.arrays import by_value, distinct, distinct_rows, groups, numbered, quantiles
 from edoras_tools.wire.ccsds import VERSION_1
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.wire.arrays.order import Integers
+    from edoras_tools.wire.arrays import Integers
 
 
 _PAUSE_NS: Final = 2 * SECOND

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.streams import Stream
-    from edoras_tools.wire.arrays.order import Places
+    from edoras_tools.wire.arrays import Places
 
 _FEW: Final = 20
 """So many of one kind are told one by one; more are told together."""

@@ -13,7 +13,7 @@ from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, verdi
 from edoras_tools.links import table
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_value, groups
+from edoras_tools.wire.arrays import by_value, groups
 from edoras_tools.words import plural, seconds
 
 if TYPE_CHECKING:

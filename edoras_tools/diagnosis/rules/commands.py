@@ -21,7 +21,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import Places, by_key, by_value, groups, numbered
+from edoras_tools.wire.arrays import Places, by_key, by_value, groups, numbered
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:

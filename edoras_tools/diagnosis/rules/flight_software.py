@@ -28,7 +28,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import EventRecord
-    from edoras_tools.wire.arrays.order import Integers
+    from edoras_tools.wire.arrays import Integers
 
 _FEW: Final = 2
 _NAMED: Final = 4

@@ -36,7 +36,7 @@ from edoras_tools.links.bare import CI, ROBOT, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import rate_hz
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import either, listed, plural
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.unreachable import ClosedSpan
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.model import Endpoint
-    from edoras_tools.wire.arrays.order import Integers, Places
+    from edoras_tools.wire.arrays import Integers, Places
 
 _EDORAS = "EDORAS"
 """The public applications, their pipes and their housekeeping begin so; these pass values on as they are."""

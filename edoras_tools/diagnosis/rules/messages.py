@@ -22,7 +22,7 @@ from edoras_tools.ros.cdr.plan import ROUNDING
 from edoras_tools.ros.store import types_that_fit, types_that_fit_each
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import Integers, Places, by_value, groups
+from edoras_tools.wire.arrays import Integers, Places, by_value, groups
 from edoras_tools.words import either, listed, plural
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import Mask, Places, by_key, by_value, groups, numbered
+from edoras_tools.wire.arrays import Mask, Places, by_key, by_value, groups, numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

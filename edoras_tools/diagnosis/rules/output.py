@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.rules.about import packet
 from edoras_tools.diagnosis.verdict import Severity, Verdict, security, verdict, warning
 from edoras_tools.links.bare import CI, ROBOT, TO
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:

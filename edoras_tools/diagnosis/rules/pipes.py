@@ -25,7 +25,7 @@ from edoras_tools.links.bare import CI, TO
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_key, groups
+from edoras_tools.wire.arrays import by_key, groups
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

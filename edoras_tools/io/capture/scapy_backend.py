@@ -28,7 +28,7 @@ from edoras_tools.io.capture.device import (
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.network import error_rows, quoted_ports
 from edoras_tools.model import Finding, PacketBatch, SourceInfo
-from edoras_tools.wire.arrays.window import PADDING
+from edoras_tools.wire.arrays import PADDING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

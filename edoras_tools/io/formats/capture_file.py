@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import RecordingOptions, Room
     from edoras_tools.io.formats.stream import Window
     from edoras_tools.io.frames.frame_batch import FrameBatch
-    from edoras_tools.wire.arrays.order import Octets
+    from edoras_tools.wire.arrays import Octets
 
 
 class SplitCaptureSink(Sink):

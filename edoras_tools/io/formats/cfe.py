@@ -30,7 +30,7 @@ from edoras_tools.links.table import STORED
 from edoras_tools.model import Endpoint, Peer, SourceInfo
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import gather
 from edoras_tools.wire.cfe import (
     CFE_MAGIC,
     FILE_HEADER,
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.io.formats.stream import Window
-    from edoras_tools.wire.arrays.order import Integers, Octets, Places
+    from edoras_tools.wire.arrays import Integers, Octets, Places
     from edoras_tools.wire.layout import Layout
 
 _ENDS: Final = ends_of(Endpoint("0.0.0.0", 0), Endpoint("0.0.0.0", STORED.transport.ports[0]))  # noqa: S104

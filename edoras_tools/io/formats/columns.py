@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Mask
+    from edoras_tools.wire.arrays import Integers, Mask
 
 
 class TableColumn(msgspec.Struct, frozen=True):

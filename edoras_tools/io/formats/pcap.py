@@ -22,7 +22,7 @@ from edoras_tools.io.formats.capture_file import (
 from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
-from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at
+from edoras_tools.wire.arrays import copy_rows, put_rows, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io.formats.stream import Window
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 FILE_HEADER_BYTES = 24
 RECORD_HEADER_BYTES = 16

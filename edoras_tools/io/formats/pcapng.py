@@ -26,8 +26,7 @@ from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, distinct
-from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at
+from edoras_tools.wire.arrays import Integers, Mask, Octets, copy_rows, distinct, put_rows, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

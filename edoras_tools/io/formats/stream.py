@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 import numpy as np
 
 from edoras_tools.errors import CaptureError, os_errors
-from edoras_tools.wire.arrays.window import PADDING
+from edoras_tools.wire.arrays import PADDING
 
 if TYPE_CHECKING:
     import io
     from collections.abc import Callable
 
-    from edoras_tools.wire.arrays.order import Octets
+    from edoras_tools.wire.arrays import Octets
 
 FIRST = 256 << 10
 """Bytes of the first window: small, so that the first datagrams come at once."""

@@ -16,8 +16,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.wire.arrays.order import Integers, Octets, Places, by_value
-from edoras_tools.wire.arrays.window import PADDING, copy_rows, word_sums
+from edoras_tools.wire.arrays import PADDING, Integers, Octets, Places, by_value, copy_rows, word_sums
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

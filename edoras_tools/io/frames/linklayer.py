@@ -54,7 +54,7 @@ from edoras_tools.io.frames.network import (
 )
 from edoras_tools.links.table import framings
 from edoras_tools.model import CutDatagram, Datagram, Endpoint, Finding, PacketBatch, concatenate
-from edoras_tools.wire.arrays.window import PADDING, read_at
+from edoras_tools.wire.arrays import PADDING, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.frames.tcp import StreamReassembler
     from edoras_tools.links.doors import Framing
     from edoras_tools.model import SourceStatistics
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 _PROTOCOL_FIELD = {1: (14, 12), 113: (16, 14), 276: (20, 0)}
 """Bytes of the link header, and position of its EtherType: Ethernet, Linux cooked v1 and v2."""

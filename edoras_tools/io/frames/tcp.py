@@ -35,8 +35,17 @@ from edoras_tools.io.frames.chain import walk_records
 from edoras_tools.io.frames.tcp_segments import SegmentBytes, Segments, rebuilt
 from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, StreamState
 from edoras_tools.model import Finding, PacketBatch
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places, by_key, numbered
-from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
+from edoras_tools.wire.arrays import (
+    PADDING,
+    Integers,
+    Mask,
+    Octets,
+    Places,
+    by_key,
+    copy_rows,
+    gather,
+    numbered,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

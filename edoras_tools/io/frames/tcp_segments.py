@@ -9,8 +9,7 @@ import numpy as np
 
 from edoras_tools.io.frames.frame_batch import FrameBatch, internet_checksum, put_words, words_of
 from edoras_tools.io.frames.network import TCP, IpPayloads
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value
-from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather, read_at, word_sums
+from edoras_tools.wire import arrays
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -53,20 +52,20 @@ class Segments(msgspec.Struct, frozen=True, eq=False):
     """
 
     frames: FrameBatch
-    network: Integers
+    network: arrays.Integers
     ip: IpPayloads
     source_port: NDArray[np.uint16]
     destination_port: NDArray[np.uint16]
-    sequence: Integers
-    acknowledged: Integers
-    flags: Octets
-    start: Integers
-    length: Integers
-    cut: Mask
-    fresh: Mask
+    sequence: arrays.Integers
+    acknowledged: arrays.Integers
+    flags: arrays.Octets
+    start: arrays.Integers
+    length: arrays.Integers
+    cut: arrays.Mask
+    fresh: arrays.Mask
 
 
-def read_segments(frames: FrameBatch, network: Integers, ip: IpPayloads, old: int) -> Segments:
+def read_segments(frames: FrameBatch, network: arrays.Integers, ip: IpPayloads, old: int) -> Segments:
     """Read TCP headers; a segment with a damaged header has no data.
 
     Args:
@@ -76,7 +75,7 @@ def read_segments(frames: FrameBatch, network: Integers, ip: IpPayloads, old: in
         old: number of segments, from the first on, that were read before.
     """
     frame_end = frames.offset + frames.length
-    header = read_at(frames.data, ip.position, _HEADER)
+    header = arrays.read_at(frames.data, ip.position, _HEADER)
     start = ip.position + (header["words"] >> 4).astype(np.int64) * 4
     end = np.minimum(ip.end, frame_end)
     sound = (start >= ip.position + TCP_BYTES) & (start <= end)
@@ -108,13 +107,15 @@ class SegmentBytes(msgspec.Struct, frozen=True, eq=False):
         sequence: sequence number of the first byte, i64.
     """
 
-    data: Octets
-    offset: Integers
-    length: Integers
-    sequence: Integers
+    data: arrays.Octets
+    offset: arrays.Integers
+    length: arrays.Integers
+    sequence: arrays.Integers
 
 
-def rebuilt(segments: Segments, rows: Integers, contents: SegmentBytes) -> tuple[Octets, Integers, Integers]:
+def rebuilt(
+    segments: Segments, rows: arrays.Integers, contents: SegmentBytes
+) -> tuple[arrays.Octets, arrays.Integers, arrays.Integers]:
     """Make segments with the headers of others.
 
     A packet that is longer than its IP header can say has the length 0 there, as segmentation offload leaves
@@ -133,29 +134,29 @@ def rebuilt(segments: Segments, rows: Integers, contents: SegmentBytes) -> tuple
     transport = segments.ip.position[rows] - offset
     stride = (header + contents.length + 3) & ~1
     place = np.cumsum(stride) - stride + (transport & 1)
-    out = np.zeros(int(stride.sum()) + 1 + PADDING, np.uint8)
-    copy_rows(out, place + header, contents.data, contents.offset, contents.length)
+    out = np.zeros(int(stride.sum()) + 1 + arrays.PADDING, np.uint8)
+    arrays.copy_rows(out, place + header, contents.data, contents.offset, contents.length)
     shape = header << 16 | transport << 8 | (segments.network[rows] - offset)
-    for _, group in by_value(shape):
+    for _, group in arrays.by_value(shape):
         first = group[0]
         _put_headers(
             out,
             (int(header[first]), int(transport[first]), int(segments.network[rows[first]] - offset[first])),
-            gather(segments.frames.data, offset[group], int(header[first])),
+            arrays.gather(segments.frames.data, offset[group], int(header[first])),
             place[group],
             contents.length[group],
             contents.sequence[group],
         )
-    return out[: len(out) - PADDING], place, header
+    return out[: len(out) - arrays.PADDING], place, header
 
 
 def _put_headers(
-    out: Octets,
+    out: arrays.Octets,
     shape: tuple[int, int, int],
-    head: Octets,
-    place: Integers,
-    length: Integers,
-    sequence: Integers,
+    head: arrays.Octets,
+    place: arrays.Integers,
+    length: arrays.Integers,
+    sequence: arrays.Integers,
 ) -> None:
     """Write the headers of segments of one shape: size of all headers, start of the TCP and the IP header."""
     size, transport, network = shape
@@ -178,5 +179,5 @@ def _put_headers(
     total = (
         words_of(addresses).sum(axis=1) + TCP + (whole & 0xFFFF) + (whole >> 16) + words_of(tcp).sum(axis=1)
     )
-    put_words(tcp, 16, internet_checksum(total + word_sums(out, place + size, length)))
+    put_words(tcp, 16, internet_checksum(total + arrays.word_sums(out, place + size, length)))
     out[place[:, None] + np.arange(size)] = head

@@ -54,7 +54,7 @@ from edoras_tools.io.net.sockets import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Octets
+    from edoras_tools.wire.arrays import Integers, Octets
 
 SLOTS: Final = 256
 """Maximum number of datagrams in one ``receive``."""

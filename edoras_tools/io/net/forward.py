@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import socket
     from collections.abc import Iterable
 
-    from edoras_tools.wire.arrays.order import Integers
+    from edoras_tools.wire.arrays import Integers
 
 _LATENCIES: Final = 4096
 """Most latencies that are collected before they are counted together, which is faster."""

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.doors import Framing
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.sessions.outgoing import Outgoing
-    from edoras_tools.wire.arrays.order import Integers, Octets
+    from edoras_tools.wire.arrays import Integers, Octets
 
 _MANY: Final = 512
 """Datagrams passed to the kernel at once."""

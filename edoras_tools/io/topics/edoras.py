@@ -16,15 +16,22 @@ from msgspec.structs import asdict
 from edoras_tools.cfs.executive_services import NAME
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.errors import WireError
-from edoras_tools.io.topics.rows import RECORD, Messages, bodies_of, no_messages, whole_messages
+from edoras_tools.io.topics.messages import RECORD, Messages, bodies_of, no_messages, whole_messages
 from edoras_tools.links import table
 from edoras_tools.links.table import RESETS
 from edoras_tools.model import Columns, HostCounters, PacketBatch, SocketCounters, SourceStatistics
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import Integers, Octets, changes, distinct_rows
-from edoras_tools.wire.arrays.window import copy_rows, put_rows, read_at
+from edoras_tools.wire.arrays import (
+    Integers,
+    Octets,
+    changes,
+    copy_rows,
+    distinct_rows,
+    put_rows,
+    read_at,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

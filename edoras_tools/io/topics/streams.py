@@ -18,21 +18,25 @@ from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.io.topics import edoras
 from edoras_tools.io.topics.edoras import HOST_TOPIC, HOST_TYPE, LinkStatistics
 from edoras_tools.io.topics.messages import (
+    DATAGRAMS_TOPIC,
+    RECORD,
     TF_TOPIC,
     TF_TYPE,
     DatagramWriter,
+    Messages,
     Transforms,
+    bodies_of,
     log_messages,
     ros_messages,
     struct_messages,
+    whole_messages,
     without_trailing,
 )
-from edoras_tools.io.topics.rows import DATAGRAMS_TOPIC, RECORD, Messages, bodies_of, whole_messages
 from edoras_tools.links import table
 from edoras_tools.links.table import RESETS
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.bindings import payloads
-from edoras_tools.wire.arrays.order import Integers, Mask, Octets, by_value, order_by
+from edoras_tools.wire.arrays import Integers, Mask, Octets, by_value, order_by
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
 
 if TYPE_CHECKING:

@@ -37,7 +37,7 @@ from edoras_tools.sessions.bridge.bridge import CI_LARGEST, SBN_LARGEST, BridgeO
 from edoras_tools.sessions.bridge.ends import FlightSession, GroundSession
 from edoras_tools.sessions.bridge.packets import PacketWriter
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays.order import by_key
+from edoras_tools.wire.arrays import by_key
 from edoras_tools.wire.envelope import DEFAULT
 
 if TYPE_CHECKING:

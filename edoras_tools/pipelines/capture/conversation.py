@@ -17,7 +17,7 @@ from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Endpoint, Finding, Link, Peer
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.render.capture.sequence import SequenceMessage
-from edoras_tools.wire.arrays.order import Integers, Places, numbered
+from edoras_tools.wire.arrays import Integers, Places, numbered
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES, MsgType
 
 if TYPE_CHECKING:

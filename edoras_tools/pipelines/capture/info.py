@@ -27,14 +27,13 @@ from edoras_tools.decode.columns import Begun
 from edoras_tools.diagnosis.evidence.copies import Once
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io import Source, SourceOver
-from edoras_tools.io.processes import Desk, Workers, portable
-from edoras_tools.io.processors import jobs_for
+from edoras_tools.io.processes import Desk, Workers, jobs_for, portable
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import CaptureReport
 from edoras_tools.pipelines.reading import Limits, ReadLoop, reading, reads_by_heads
 from edoras_tools.pipelines.selection import Selection, fits_topic
 from edoras_tools.structs.bindings import payloads
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays import by_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

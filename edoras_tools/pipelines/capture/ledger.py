@@ -18,7 +18,7 @@ from edoras_tools.mission.tree import printable
 from edoras_tools.model import NO_MSG_ID, OTHER, Columns, Finding, Link, PacketBatch, rate_hz
 from edoras_tools.sessions.sequence import SequenceCounts, SequenceStream
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import Integers, by_value, changes, distinct_rows, order_by
+from edoras_tools.wire.arrays import Integers, by_value, changes, distinct_rows, order_by
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

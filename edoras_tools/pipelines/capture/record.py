@@ -28,13 +28,13 @@ from edoras_tools.io.formats.capture_file import LISTENED, CaptureFileSink, Spli
 from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import FileSink, Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import Patience, in_the_way, refuse_existing, refuse_input, waiting_for_room
-from edoras_tools.io.processors import jobs_for
+from edoras_tools.io.processes import jobs_for
 from edoras_tools.model import Columns, HostCounters, PacketBatch, concatenate
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Independence, Limits, ReadLoop, reading
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.window import copy_rows
+from edoras_tools.wire.arrays import copy_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence

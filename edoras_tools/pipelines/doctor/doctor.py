@@ -19,8 +19,7 @@ from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.errors import CaptureError, EdorasError, OnFailure
 from edoras_tools.io.formats.columns import json_value
-from edoras_tools.io.processes import Workers
-from edoras_tools.io.processors import jobs_for
+from edoras_tools.io.processes import Workers, jobs_for
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.reading import Limits, reading
 
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.capture.info import Counting
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Progress, Watcher
-    from edoras_tools.wire.arrays.order import Octets
+    from edoras_tools.wire.arrays import Octets
 
     _Table = TypeVar("_Table", PacketBatch, Columns)
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.model import Columns, PacketBatch
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.wire.arrays.order import Integers
+    from edoras_tools.wire.arrays import Integers
 
 
 class Scope(msgspec.Struct, frozen=True):

@@ -21,10 +21,9 @@ from msgspec.structs import replace
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.errors import CaptureError, EdorasError, InterruptError
 from edoras_tools.io.formats.open import is_cfe_file
-from edoras_tools.io.processes import InOrder, Workers
-from edoras_tools.io.processors import jobs_for
+from edoras_tools.io.processes import InOrder, Workers, jobs_for
 from edoras_tools.io.topics.edoras import fault_messages
-from edoras_tools.io.topics.rows import APART, DATAGRAMS_TOPIC, RECORD, RECORD_BYTES, Messages, lay_out
+from edoras_tools.io.topics.messages import APART, DATAGRAMS_TOPIC, RECORD, RECORD_BYTES, Messages, lay_out
 from edoras_tools.io.topics.streams import FAULTS, STATISTICS_TOPIC, PreparedBatch, Streams, Topic
 from edoras_tools.mission.tree import printable
 from edoras_tools.model import Columns, Finding, PacketBatch
@@ -37,8 +36,7 @@ from edoras_tools.pipelines.reading import reading, reads_by_heads
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.ros.cdr.columns import MessageColumns, Ragged, TopicBlock
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, by_value
-from edoras_tools.wire.arrays.window import read_at
+from edoras_tools.wire.arrays import Integers, Mask, by_value, read_at
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:

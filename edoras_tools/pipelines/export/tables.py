@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.pipelines.export.sources import TopicSource
-    from edoras_tools.wire.arrays.order import Integers
+    from edoras_tools.wire.arrays import Integers
 
 ELEMENT: Final = "element"
 """The column with the index of an element, if every element of a list has a row."""

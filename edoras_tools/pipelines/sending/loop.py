@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.processors import Precedence
+from edoras_tools.io.processes import Precedence
 from edoras_tools.model import rate_hz
 from edoras_tools.pipelines.interrupt import Keys, on_interrupt
 from edoras_tools.sessions.outgoing import Changes, Outgoing

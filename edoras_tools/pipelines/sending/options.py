@@ -19,7 +19,7 @@ from edoras_tools.older import StrEnum
 from edoras_tools.sessions.outgoing import ChecksumRule, Outgoing, SequenceRule
 from edoras_tools.sessions.pacing import Pacing
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import numbered
+from edoras_tools.wire.arrays import numbered
 from edoras_tools.wire.cfe import STANDARD, Headers
 
 if TYPE_CHECKING:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.ros import TypeStore
-    from edoras_tools.wire.arrays.order import Integers, Mask
+    from edoras_tools.wire.arrays import Integers, Mask
     from edoras_tools.wire.ccsds import MsgIds
 
 _WHAT: Final = {

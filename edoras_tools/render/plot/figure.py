@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers
+    from edoras_tools.wire.arrays import Integers
 
 AXIS: Final = "seconds since the start of the capture"
 _MOST_TICKS: Final = 6

@@ -16,7 +16,7 @@ from edoras_tools.ros.cdr.values import string_value
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
     Piece = Callable[[], tuple[Integers, bulk.Position, NDArray[Any]]]
     """Reads a part of a column; returns i64, its rows; the number of values of each row; and the values."""

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.sessions.faults.rules import Rule
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
     Predicate = Callable[[bytes, Link], bool]
     _Verdict = tuple["StreamCounter", bool, int]

@@ -11,7 +11,7 @@ from pdus import eof, metadata, piece, with_crc
 from rewriting import Udp, write
 from waiting import HOST, Ear, free_ports, until
 
-from edoras_tools.wire.arrays.sums import crc16
+from edoras_tools.wire.arrays import crc16
 
 CONTENTS = {7: random.Random(1).randbytes(20_000), 8: b"short", 9: random.Random(2).randbytes(9_001)}
 

@@ -12,7 +12,7 @@ from racs2_peer import Talk, to_cfs, to_ros
 from streams import frames, segments_of
 from websockets.frames import Opcode
 
-from edoras_tools.addons.racs2 import wire as racs2
+from edoras_tools.addons.racs2 import link as racs2
 from edoras_tools.addons.racs2.link import RACS2
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.io.frames.linklayer import Demux

@@ -16,7 +16,7 @@ from edoras_tools.io.capture.tpacket import cut
 from edoras_tools.io.frames.frame_batch import FrameBatch, frames_of
 from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.model import Endpoint, Finding
-from edoras_tools.wire.arrays.window import PADDING
+from edoras_tools.wire.arrays import PADDING
 
 ETHERNET_MAC, COOKED_MAC = 82, 96
 TIME_NS = 1_700_000_000_123_456_789

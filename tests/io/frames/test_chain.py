@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from edoras_tools.io.frames import chain as framing
 from edoras_tools.io.frames.chain import walk_records
-from edoras_tools.wire.arrays.window import read_at
+from edoras_tools.wire.arrays import read_at
 
 HEADER = 2
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from edoras_tools.io.frames.frame_batch import ENDS, LINKTYPE_RAW, FramePage, ends_of, frames_at, frames_of
 from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.model import Endpoint
-from edoras_tools.wire.arrays.window import PADDING
+from edoras_tools.wire.arrays import PADDING
 
 
 def total(octets):

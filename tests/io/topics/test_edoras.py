@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from edoras_tools.io.topics.edoras import event_messages, software_bus_messages
-from edoras_tools.io.topics.rows import RECORD_BYTES
+from edoras_tools.io.topics.messages import RECORD_BYTES
 from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import Columns, PacketBatch
-from edoras_tools.wire.arrays.window import copy_rows
+from edoras_tools.wire.arrays import copy_rows
 
 NOW = 1_795_000_000_250_000_000
 

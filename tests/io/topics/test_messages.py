@@ -5,8 +5,7 @@ import pytest
 from msgspec.structs import replace
 from rosbags.typesys import Stores, get_typestore
 
-from edoras_tools.io.topics.messages import TF_TYPE, Transforms
-from edoras_tools.io.topics.rows import lay_out
+from edoras_tools.io.topics.messages import TF_TYPE, Transforms, lay_out
 
 CHANNEL = 7
 

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from edoras_tools.io.formats.mcap.reader import McapSource
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.topics.edoras import HOST_TOPIC, LinkStatistics
-from edoras_tools.io.topics.rows import RECORD_BYTES
+from edoras_tools.io.topics.messages import RECORD_BYTES
 from edoras_tools.links import table
 from edoras_tools.mission import Mission
 from edoras_tools.model import HostCounters, SocketCounters, SourceInfo, SourceStatistics

@@ -15,7 +15,7 @@ from places import CAPTURES, MISSIONS, SAMPLES
 from edoras_tools.io.formats.mcap import chunks, reader, writer
 from edoras_tools.io.formats.mcap.file import record_bytes
 from edoras_tools.io.formats.recover import repair
-from edoras_tools.io.topics.rows import COUNTS_METADATA_NAME
+from edoras_tools.io.topics.messages import COUNTS_METADATA_NAME
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.messages import open_inputs

@@ -41,7 +41,7 @@ SAMPLES = sorted((ROOT / "samples/captures").glob("*.pcap"))
 @pytest.fixture(autouse=True)
 def any_file(monkeypatch):
     """Small files are read ahead too, in many windows."""
-    monkeypatch.setattr("edoras_tools.io.processors._LARGE", 1)
+    monkeypatch.setattr("edoras_tools.io.processes._LARGE", 1)
     for name in ("FIRST", "_SECOND_WINDOW", "SLICE"):
         monkeypatch.setattr(stream, name, 8 << 10)
 

@@ -152,7 +152,7 @@ def test_losses_are_exit_code_3(bench, batches, made_up, sink, capsys):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="there is one process elsewhere")
 def test_files_are_watched_with_several_processes_too(bench, made_up, tmp_path, monkeypatch):
-    monkeypatch.setattr("edoras_tools.io.processors._LARGE", 1)
+    monkeypatch.setattr("edoras_tools.io.processes._LARGE", 1)
     path, beside, told = tmp_path / "x.mcap", tmp_path / "x_1.mcap", tmp_path / "told"
     with closing(open_files([CAPTURE])) as opened:
         (batch,) = opened.batches()
@@ -331,7 +331,7 @@ KEPT = {"split_count": 200, "keep_files": 3}
 @pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
 @pytest.mark.parametrize("limits", [{}, {"split_bytes": 60_000}, {"split_ns": 20_000_000_000}, KEPT])
 def test_several_processes_make_the_same_recording(bench, captures, tmp_path, monkeypatch, limits):
-    monkeypatch.setattr("edoras_tools.io.processors._LARGE", 0)
+    monkeypatch.setattr("edoras_tools.io.processes._LARGE", 0)
     monkeypatch.setattr(writer, "_LARGE", 1)
     contents = []
     for jobs in (1, 3):
@@ -356,7 +356,7 @@ def test_where_no_process_can_be_forked_it_records_all_the_same(bench, captures,
     def none(*_):
         raise BlockingIOError("Resource temporarily unavailable")
 
-    monkeypatch.setattr("edoras_tools.io.processors._LARGE", 0)
+    monkeypatch.setattr("edoras_tools.io.processes._LARGE", 0)
     monkeypatch.setattr("os.fork", none)
     source = open_files([captures("a_rover")])
     report = record(source, bench, Target(tmp_path / "a.mcap", jobs=2), limits=STILL)

@@ -177,7 +177,7 @@ ERRORS = ROOT / "tests/captures/season3/q25_robot_off_then_bridge_off.pcap.zst"
 
 def chapters(monkeypatch, path, jobs, *, listing=False, configs=()):
     """What is found in chapters of some hundred datagrams."""
-    monkeypatch.setattr("edoras_tools.io.processors._LARGE", 1)
+    monkeypatch.setattr("edoras_tools.io.processes._LARGE", 1)
     monkeypatch.setattr(examination, "CHAPTER", 150)
     source = open_files([path])
     parts = _Parts(source, 100)

@@ -34,7 +34,7 @@ ROVER = CAPTURES / "a_rover.pcap"
 @pytest.fixture(autouse=True)
 def submitted(monkeypatch):
     """Small files are shared too, in many windows; the batches that other processes got."""
-    monkeypatch.setattr("edoras_tools.io.processors._LARGE", 1)
+    monkeypatch.setattr("edoras_tools.io.processes._LARGE", 1)
     for name in ("FIRST", "_SECOND_WINDOW", "SLICE"):
         monkeypatch.setattr(stream, name, 16 << 10)
     given, submit = [], Workers.submit

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     """Frames with messages, their ends, and the sizes of the first 0, 1, 2, ... messages; see ``_Piece``."""
     from websockets.typing import Subprotocol
 
-    from edoras_tools.io.topics.rows import Records
+    from edoras_tools.io.topics.messages import Records
     from edoras_tools.model import Endpoint
 
 MOST_MESSAGES: Final = 8192

@@ -27,7 +27,7 @@ from edoras_tools.diagnosis.ledger import SEEN, Row
 from edoras_tools.diagnosis.summary import Problem, summarize
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.errors import EdorasError
-from edoras_tools.io.topics.rows import Messages, lay_out
+from edoras_tools.io.topics.messages import Messages, lay_out
 from edoras_tools.links import table
 from edoras_tools.links.table import link_of_label
 from edoras_tools.model import NO_MSG_ID, Columns, Link, PacketBatch, SourceStatistics

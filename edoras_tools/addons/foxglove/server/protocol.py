@@ -21,14 +21,14 @@ import numpy as np
 from edoras_tools.errors import ConfigError, EdorasError, WireError
 from edoras_tools.ros.types.schema import full_name
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.window import copy_rows, put_rows
+from edoras_tools.wire.arrays import copy_rows, put_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.topics.rows import Records
+    from edoras_tools.io.topics.messages import Records
     from edoras_tools.io.topics.streams import Topic
     from edoras_tools.ros import TypeStore
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.addons.foxglove.server.client import FoxgloveClient, SharedFrames
     from edoras_tools.addons.foxglove.server.protocol import PlaybackState, Player, Publisher
-    from edoras_tools.io.topics.rows import Records
+    from edoras_tools.io.topics.messages import Records
     from edoras_tools.io.topics.streams import Topic
 
 HERE: Final = Endpoint("127.0.0.1", 8765)

@@ -17,7 +17,7 @@ from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io import Sink
 from edoras_tools.io.topics.edoras import fault_messages
-from edoras_tools.io.topics.rows import Messages, bodies_of, lay_out
+from edoras_tools.io.topics.messages import Messages, bodies_of, lay_out
 from edoras_tools.io.topics.streams import (
     EVENTS_TOPIC,
     FAULTS,

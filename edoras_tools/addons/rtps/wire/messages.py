@@ -12,12 +12,12 @@ import numpy as np
 
 from edoras_tools.addons.rtps.wire import headers as rtps
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.window import gather
+from edoras_tools.wire.arrays import gather
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 MOST_SUBMESSAGES: Final = 1 << 10
 MOST_PARAMETERS: Final = 1 << 6

@@ -11,7 +11,7 @@ from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns
 from edoras_tools.render.plot.figure import Figure, Panel, PlotLine, RateCounts, bar_seconds
-from edoras_tools.wire.arrays.order import by_value
+from edoras_tools.wire.arrays import by_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

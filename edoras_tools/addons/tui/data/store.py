@@ -24,7 +24,7 @@ from edoras_tools.decode.filters.syntax import Presence, WhereError, parse_filte
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Columns, Datagram, Finding, PacketBatch
 from edoras_tools.pipelines.capture.record import ROW_BYTES, join
-from edoras_tools.wire.arrays.order import by_value, numbered
+from edoras_tools.wire.arrays import by_value, numbered
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:

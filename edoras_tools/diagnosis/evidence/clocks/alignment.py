@@ -50,8 +50,7 @@ from edoras_tools.diagnosis.evidence.table import Recorder, Rows, peer_of
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, Prints, by_value, groups
-from edoras_tools.wire.arrays.sums import MIX, matches
+from edoras_tools.wire.arrays import MIX, Integers, Mask, Places, Prints, by_value, groups, matches
 from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.words import seconds
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from edoras_tools.wire.arrays.order import Integers, Places
+    from edoras_tools.wire.arrays import Integers, Places
 
 MOST_DRIFT: Final = 500e-6
 """Largest drift between two clocks, in ns per ns."""

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, Places, by_key, groups, numbered
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -31,7 +31,7 @@ from edoras_tools.cfs.names import housekeeping_of
 from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE, Connection, Network, SbnParty
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.order import Integers, Mask, distinct, numbered
+from edoras_tools.wire.arrays import Integers, Mask, distinct, numbered
 from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:

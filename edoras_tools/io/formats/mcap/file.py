@@ -23,10 +23,8 @@ from msgspec.structs import replace
 from edoras_tools import __version__
 from edoras_tools.errors import CaptureError, OnFailure, os_errors
 from edoras_tools.io.outputs import STDOUT, OutputFile, output_name
-from edoras_tools.io.topics.rows import MAGIC, RECORD_PREFIX_BYTES
-from edoras_tools.wire.arrays.order import Integers, Octets, by_value
-from edoras_tools.wire.arrays.sums import crc32
-from edoras_tools.wire.arrays.window import put_rows
+from edoras_tools.io.topics.messages import MAGIC, RECORD_PREFIX_BYTES
+from edoras_tools.wire.arrays import Integers, Octets, by_value, crc32, put_rows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

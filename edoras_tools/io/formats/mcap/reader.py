@@ -43,10 +43,10 @@ from edoras_tools.io.formats.table import TOPIC_READERS
 from edoras_tools.io.frames.frame_batch import FrameBatch, frames_at, joined_frames, packed_frames
 from edoras_tools.io.frames.linklayer import FrameSource
 from edoras_tools.io.topics.edoras import FAULTS_TOPIC, HOST_TOPIC, fault_of, host_counters_of
-from edoras_tools.io.topics.messages import DATAGRAM
-from edoras_tools.io.topics.rows import (
+from edoras_tools.io.topics.messages import (
     CDR_LE_WORD,
     COUNTS_METADATA_NAME,
+    DATAGRAM,
     DATAGRAMS_TOPIC,
     MAGIC,
     OUTAGE_METADATA_NAME,
@@ -54,8 +54,7 @@ from edoras_tools.io.topics.rows import (
 from edoras_tools.links.table import links
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays.sums import crc32
-from edoras_tools.wire.arrays.window import read_at
+from edoras_tools.wire.arrays import crc32, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
@@ -64,7 +63,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Choice
     from edoras_tools.sessions.faults.kinds import Fault
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets, Places
+    from edoras_tools.wire.arrays import Integers, Mask, Octets, Places
 
 T = TypeVar("T")
 

@@ -73,7 +73,7 @@ from edoras_tools.io.formats.mcap.recovery.report import (
 from edoras_tools.io.formats.mcap.recovery.scan import Piece, Scan
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.io.outputs import NewFile
-from edoras_tools.io.topics.rows import MAGIC
+from edoras_tools.io.topics.messages import MAGIC
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Mapping, Sequence

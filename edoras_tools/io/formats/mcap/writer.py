@@ -17,7 +17,7 @@ from edoras_tools.io.formats.mcap.file import McapFile, PackedChunks
 from edoras_tools.io.outputs import OutputFile, part_path
 from edoras_tools.io.processes import Workers, writer_killed
 from edoras_tools.io.topics.edoras import fault_messages, host_messages
-from edoras_tools.io.topics.rows import COUNTS_METADATA_NAME, OUTAGE_METADATA_NAME
+from edoras_tools.io.topics.messages import COUNTS_METADATA_NAME, OUTAGE_METADATA_NAME
 from edoras_tools.io.topics.streams import (
     FAULTS,
     HOST_COUNTERS,

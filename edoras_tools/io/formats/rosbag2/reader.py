@@ -34,10 +34,10 @@ from edoras_tools.io.formats.mcap.messages import (
     scanned,
 )
 from edoras_tools.io.formats.stream import SettledFile
-from edoras_tools.io.topics.rows import MAGIC
+from edoras_tools.io.topics.messages import MAGIC
 from edoras_tools.mission.model import RecordedTopic
 from edoras_tools.mission.tree import printable
-from edoras_tools.wire.arrays.window import PADDING, copy_rows, gather
+from edoras_tools.wire.arrays import PADDING, copy_rows, gather
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from mcap.summary import Summary
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Octets
+    from edoras_tools.wire.arrays import Integers, Octets
 
 METADATA: Final = "metadata.yaml"
 """The file that every rosbag2 directory has."""

@@ -19,7 +19,7 @@ from edoras_tools.addons.codegen.writing import describe_packets
 from edoras_tools.addons.databases.xtce.systems import is_system, read_system, read_systems
 from edoras_tools.errors import ConfigError
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.structs import cfe as cfe_structs
+from edoras_tools.structs import files as cfe_structs
 from edoras_tools.structs.bindings import Bindings
 from edoras_tools.structs.files import dumps, load_together, parse_layout, type_text
 from edoras_tools.wire import cfe

@@ -14,7 +14,7 @@ from websockets.uri import parse_uri
 from edoras_tools.addons.foxglove.server import client as foxglove_client
 from edoras_tools.addons.foxglove.server import protocol
 from edoras_tools.addons.foxglove.server.client import FoxgloveClient
-from edoras_tools.io.topics.rows import Records
+from edoras_tools.io.topics.messages import Records
 from edoras_tools.model import Endpoint
 
 TOPICS = 3

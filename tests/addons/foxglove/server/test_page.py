@@ -23,7 +23,7 @@ from edoras_tools.addons.foxglove.server import server as foxglove_server
 from edoras_tools.addons.foxglove.server.page import OriginCheck
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import ConfigError
-from edoras_tools.io.topics.rows import Records
+from edoras_tools.io.topics.messages import Records
 from edoras_tools.io.topics.streams import Topic
 from edoras_tools.model import Endpoint
 

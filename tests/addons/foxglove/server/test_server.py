@@ -20,7 +20,7 @@ from edoras_tools.addons.foxglove.server.page import OriginCheck
 from edoras_tools.addons.foxglove.server.protocol import PlaybackRequest, PlaybackState, Publisher
 from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.io.topics.rows import Records
+from edoras_tools.io.topics.messages import Records
 from edoras_tools.io.topics.streams import Topic
 from edoras_tools.model import Endpoint
 

@@ -26,7 +26,7 @@ from edoras_tools.decode import Context
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io import RecordingOptions
 from edoras_tools.io.formats.mcap.writer import McapSink
-from edoras_tools.io.topics.rows import Records
+from edoras_tools.io.topics.messages import Records
 from edoras_tools.links.bare import CI
 from edoras_tools.model import Endpoint, Finding, SourceStatistics
 from edoras_tools.pipelines.doctor.scope import Scope

@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Schema
 
 from edoras_tools.io.formats.mcap.file import record_bytes
-from edoras_tools.io.topics.rows import MAGIC
+from edoras_tools.io.topics.messages import MAGIC
 
 LIMIT = 512 << 20
 HUGE = 2 << 30

@@ -13,7 +13,7 @@ from edoras_tools.io.formats.mcap.file import MOST_IDLE, record_bytes
 from edoras_tools.io.formats.mcap.messages import SelectedMessages, chunk_content, is_indexed, scanned
 from edoras_tools.io.formats.mcap.reader import McapSource
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
-from edoras_tools.io.topics.rows import DATAGRAMS_TOPIC, MAGIC
+from edoras_tools.io.topics.messages import DATAGRAMS_TOPIC, MAGIC
 
 
 def write(path, *, count=1000, **options):

@@ -22,7 +22,7 @@ from edoras_tools.io.formats.mcap.file import record_bytes
 from edoras_tools.io.formats.mcap.recover import recover, verify
 from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
 from edoras_tools.io.formats.mcap.writer import McapSink
-from edoras_tools.io.topics.rows import MAGIC
+from edoras_tools.io.topics.messages import MAGIC
 from edoras_tools.io.topics.streams import OWN_TOPICS
 from edoras_tools.model import SourceStatistics
 

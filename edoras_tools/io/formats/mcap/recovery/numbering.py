@@ -14,7 +14,7 @@ from mcap.records import Channel, Schema
 
 from edoras_tools.errors import RouteError
 from edoras_tools.io.formats.mcap.file import McapFile, record_bytes
-from edoras_tools.io.topics.rows import RECORD_BYTES
+from edoras_tools.io.topics.messages import RECORD_BYTES
 from edoras_tools.io.topics.streams import Streams
 from edoras_tools.mission import Mission
 from edoras_tools.ros import TypeStore

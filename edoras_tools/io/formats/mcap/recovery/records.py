@@ -25,9 +25,8 @@ from edoras_tools.io.formats.mcap.file import (
     ChunkMessages,
     MessageIndex,
 )
-from edoras_tools.io.topics.rows import OPCODE_MESSAGE, RECORD
-from edoras_tools.wire.arrays.sums import crc32
-from edoras_tools.wire.arrays.window import copy_rows, read_at
+from edoras_tools.io.topics.messages import OPCODE_MESSAGE, RECORD
+from edoras_tools.wire.arrays import copy_rows, crc32, read_at
 
 if TYPE_CHECKING:
     import re
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays.order import Integers, Mask, Octets
+    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 _HEAD: Final = np.dtype(RECORD)
 _CHANNEL_AT: Final = RECORD_HEAD.size

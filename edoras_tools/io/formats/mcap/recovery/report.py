@@ -17,10 +17,10 @@ from mcap.records import AttachmentIndex, Channel, ChunkIndex, Footer, MetadataI
 from edoras_tools.io.formats.mcap.file import RECORD_HEAD
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, Walked, parse
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
-from edoras_tools.io.topics.rows import MAGIC
+from edoras_tools.io.topics.messages import MAGIC
 from edoras_tools.mission.tree import printable
 from edoras_tools.older import UTC
-from edoras_tools.wire.arrays.sums import crc32
+from edoras_tools.wire.arrays import crc32
 
 if TYPE_CHECKING:
     from edoras_tools.io.formats.mcap.recovery.numbering import Definitions

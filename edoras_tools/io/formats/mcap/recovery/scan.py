@@ -35,8 +35,8 @@ from edoras_tools.io.formats.mcap.file import (
     chunk_head,
 )
 from edoras_tools.io.formats.mcap.recovery.records import Entries, FileBytes, Walked, parse, walk
-from edoras_tools.io.topics.rows import MAGIC
-from edoras_tools.wire.arrays.sums import crc32
+from edoras_tools.io.topics.messages import MAGIC
+from edoras_tools.wire.arrays import crc32
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

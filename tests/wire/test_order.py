@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.arrays.order import by_value, numbered, order_by, perhaps_in, quantiles
+from edoras_tools.wire.arrays import by_value, numbered, order_by, perhaps_in, quantiles
 
 
 @pytest.mark.parametrize("values", [[3, 1, 3, 2, 1], [70_000, 1, 70_000, 65_536 + 1, 1], [], [5]])

@@ -11,8 +11,8 @@ from fastcrc import crc32 as peer32
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.arrays import sums
-from edoras_tools.wire.arrays.sums import CRC16_BYTES, FileCrc, crc16, crc16_rows, crc32, crc32c
+from edoras_tools.wire import arrays
+from edoras_tools.wire.arrays import CRC16_BYTES, FileCrc, crc16, crc16_rows, crc32, crc32c
 
 
 def by_definition(octets):
@@ -46,7 +46,7 @@ def test_many_ranges(least, parts):
 
 
 def test_more_than_is_laid_out_at_once(monkeypatch):
-    monkeypatch.setattr("edoras_tools.wire.arrays.sums._BLOCK", 4096)
+    monkeypatch.setattr("edoras_tools.wire.arrays._BLOCK", 4096)
     data = np.random.default_rng(5).integers(0, 256, 200 * 97, dtype=np.uint8)
     offset, length = np.arange(200, dtype=np.int64) * 97, np.full(200, 97, np.int32)
     expected = [crc16(data[at : at + 97].tobytes()) for at in offset]
@@ -90,7 +90,7 @@ def test_equal_bytes_and_only_those_share_a_fingerprint(messages):
     data = np.frombuffer(b"".join(messages), np.uint8)
     data = np.append(data, np.zeros(8, np.uint8))  # as a batch has some bytes behind its last packet
     length = np.array([len(item) for item in messages], np.int32)
-    found = sums.of_bytes(data, np.cumsum(length, dtype=np.int64) - length, length)
+    found = arrays.of_bytes(data, np.cumsum(length, dtype=np.int64) - length, length)
     for index, one in enumerate(messages):
         for other, two in enumerate(messages):
             assert (found[index] == found[other]) == (one == two)

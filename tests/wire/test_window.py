@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.wire.arrays.window import PADDING, copy_rows, put_rows, read_at, spill_rows, word_sums
+from edoras_tools.wire.arrays import PADDING, copy_rows, put_rows, read_at, spill_rows, word_sums
 
 LENGTHS = st.lists(
     st.one_of(st.integers(0, 40), st.integers(250, 260), st.sampled_from([1, 127, 128, 1024])), max_size=40
