@@ -38,7 +38,7 @@ PUT_OFF = {
         "edoras_tools.io.formats.rosbag2.source",
         "only for directories, whose metadata needs YAML",
     ),
-    "io/formats/stream.py": (
+    "io/formats/capture_file.py": (
         "tempfile zstandard",
         "only for recordings from a pipe or packed, and for captures inside zstd data",
     ),
@@ -52,10 +52,6 @@ PUT_OFF = {
     "addons/foxglove/server/server.py": (
         "edoras_tools.addons.foxglove.server.client",
         "websockets, an extra: when the first client comes",
-    ),
-    "addons/racs2/link.py": (
-        "edoras_tools.addons.racs2.streams",
-        "2 ms, and only where there are its datagrams",
     ),
     "addons/rtps/link.py": ("edoras_tools.addons.rtps.wire", "5 ms, and only where there are its datagrams"),
     "mission/model.py": ("edoras_tools.cfs.profile", "6 ms, and only where constants are asked for"),

@@ -177,7 +177,7 @@ ADDONS: Final = (
             "parts": {
                 "partition": "partition:export_by_recording",
                 "arrow_tables": "arrow",
-                "recordings": "recordings:read_recordings",
+                "recordings": "partition:read_recordings",
                 "performance_trace": "trace:export_trace",
             }
         },

@@ -101,10 +101,10 @@ def _export(
     from msgspec.structs import replace
 
     from edoras_tools.io.formats.open import is_cfe_file
+    from edoras_tools.pipelines.export.reading import TableForm
     from edoras_tools.pipelines.export.run import ExportTarget
     from edoras_tools.pipelines.export.run import export as write
     from edoras_tools.pipelines.export.sources import open_topics
-    from edoras_tools.pipelines.export.tables import TableForm
 
     path, files = recordings.recording_path(output), inputs.required()
     if len(files) == 1 and is_cfe_file(files[0]):

@@ -241,7 +241,7 @@ def carry_out(
         goal = _goal(send_options, ending, inputs, stack)
         recording = None
         if goal:
-            from edoras_tools.pipelines.sending.recording import SentRecording
+            from edoras_tools.pipelines.sending.run import SentRecording
 
             recording = partial(SentRecording, target=goal, bench=bench)
         with send_status(transmission.total, quiet=quiet, keys=keys is not None) as watcher:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from edoras_tools.decode.filters.messages import held_messages, structs_of
+from edoras_tools.decode.filters.layers import held_messages, structs_of
 from edoras_tools.decode.stack import Dissector
 from edoras_tools.links import table
 from edoras_tools.model import NO_ROUTE, Decoded, Endpoint, Finding, Link

@@ -10,8 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs import names
-from edoras_tools.decode.builds import Builds, CommandTable
-from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, Spacecraft
+from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT, Builds, CommandTable, Spacecraft
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import BRIDGE_PORT, table
 from edoras_tools.links.doors import Endpoints, Peers

@@ -14,8 +14,7 @@ import numpy as np
 
 from edoras_tools.cfs.arguments import ARGUMENTS, argument_words
 from edoras_tools.decode.contents import Contents, endpoints, links_of, message_rows, read_whole
-from edoras_tools.decode.filters.layers import slot_values
-from edoras_tools.decode.filters.messages import structs_of
+from edoras_tools.decode.filters.layers import slot_values, structs_of
 from edoras_tools.decode.recorded import recorded_topic
 from edoras_tools.decode.summary import LAYER_TEXTS, message_texts, packet_text
 from edoras_tools.errors import TruncatedError

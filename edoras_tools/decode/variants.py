@@ -10,8 +10,8 @@ Nothing in a packet names them, so each sound packet is a vote for every kind th
    command that its app accepts with that length, or an envelope in front of CDR.
 3. Another kind replaces the usual one only if it fits more packets, and at least two.
 4. A conversation is read with the kinds that are the first to fit two of its packets; if there are several,
-   each packet is read with the first that fits it (:mod:`edoras_tools.decode.builds`). The first packets of
-   each conversation are examined, and a sample of all that follow.
+   each packet is read with the first that fits it (:mod:`edoras_tools.decode.spacecraft`). The first packets
+   of each conversation are examined, and a sample of all that follow.
 5. A value that an option or a route states is never detected.
 6. Mission time is read in another byte order, or with other subseconds, if the times of 64 packets of one
    clock are then nearer to the capture's times by far, and no subseconds exceed a second. Its epoch is a
@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.decode.builds import LOOKED_AT, PLACES, Fitting, conversations
+from edoras_tools.decode.spacecraft import LOOKED_AT, PLACES, Fitting, conversations
 from edoras_tools.links.table import accepted
 from edoras_tools.model import NO_ROUTE, PacketBatch
 from edoras_tools.units import SECOND

@@ -15,8 +15,7 @@ from msgspec.structs import replace
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import carrying
 from edoras_tools.mission import model
-from edoras_tools.mission.parameters import Fields, NodeParameters, suggestion
-from edoras_tools.mission.tree import Mistakes, ScalarNode, printable
+from edoras_tools.mission.tree import Fields, Mistakes, NodeParameters, ScalarNode, printable, suggestion
 from edoras_tools.wire import cfe
 from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 from edoras_tools.wire.envelope import EnvelopeFormat

@@ -26,8 +26,17 @@ from edoras_tools.mission.bridges import (
     warn_of_unknown,
 )
 from edoras_tools.mission.model import FlightSoftware, FramedPort, Mission
-from edoras_tools.mission.parameters import Fields, NodeParameters, read_nodes, suggestion
-from edoras_tools.mission.tree import LARGEST_FILE, Mistakes, printable, read_scalar, yaml_text
+from edoras_tools.mission.tree import (
+    LARGEST_FILE,
+    Fields,
+    Mistakes,
+    NodeParameters,
+    printable,
+    read_nodes,
+    read_scalar,
+    suggestion,
+    yaml_text,
+)
 from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 from edoras_tools.wire.cfe import HIGHEST_MSG_ID, MissionTime
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FrameFormat

@@ -26,7 +26,6 @@ import numpy as np
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
-from edoras_tools.mission.parameters import suggestion
 from edoras_tools.mission.tree import (
     MappingNode,
     Mistakes,
@@ -36,6 +35,7 @@ from edoras_tools.mission.tree import (
     named_entries,
     printable,
     read_document,
+    suggestion,
 )
 from edoras_tools.model import Datagram, Endpoint, Link
 from edoras_tools.sessions.faults.kinds import FAULT_KINDS, PROFILES

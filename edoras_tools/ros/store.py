@@ -14,8 +14,14 @@ import numpy as np
 from edoras_tools.errors import ConfigError, EdorasError, RouteError
 from edoras_tools.ros.cdr.plan import ROUNDING, CdrPlan, Compiler
 from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES, ValueSpan, Writer, decode, value_spans
-from edoras_tools.ros.types.library import Library
-from edoras_tools.ros.types.schema import Definition, MessageField, complete_text, full_name, with_used
+from edoras_tools.ros.types.library import (
+    Definition,
+    Library,
+    MessageField,
+    complete_text,
+    full_name,
+    with_used,
+)
 from edoras_tools.wire.arrays import by_key
 
 if TYPE_CHECKING:

@@ -16,11 +16,10 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import accepted, among
-from edoras_tools.ros.types.schema import Definition, complete_text, with_used
+from edoras_tools.ros.types.library import Definition, complete_text, with_used
 from edoras_tools.structs import messages
-from edoras_tools.structs.messages import HEADER_FIELDS, parts
+from edoras_tools.structs.messages import HEAD, HEADER_FIELDS, MOST_VALUES, Counter, StructPlan, parts
 from edoras_tools.structs.shapes import SHIPPED, Key, Member, Struct, StructLayout
-from edoras_tools.structs.transcode import HEAD, MOST_VALUES, Counter, StructPlan
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, by_value, gather
 

@@ -17,8 +17,7 @@ from edoras_radio_state import RadioFrames
 from edoras_tools.io.formats.capture_file import CaptureFileSink, RecordSource
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.table import Format
-from edoras_tools.io.frames.chain import walk_records
-from edoras_tools.io.frames.frame_batch import ENDS, FramePage
+from edoras_tools.io.frames.frame_batch import ENDS, FramePage, walk_records
 from edoras_tools.model import SourceInfo
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.wire.arrays import copy_rows, gather, put_rows
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.formats.stream import Window
+    from edoras_tools.io.formats.capture_file import Window
     from edoras_tools.io.frames.frame_batch import FrameBatch
     from edoras_tools.model import PacketBatch, SourceStatistics
 

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from places import ROOT
 
 from edoras_tools.diagnosis import examination
-from edoras_tools.io.formats import stream
+from edoras_tools.io.formats import capture_file
 
 CAPTURES = ROOT / "samples/captures"
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
@@ -354,7 +354,7 @@ def test_any_number_of_processes_says_the_same(call, rovers, tmp_path, monkeypat
     monkeypatch.setattr("edoras_tools.io.processes._LARGE", 1)
     monkeypatch.setattr(examination, "CHAPTER", 400)
     for name in ("FIRST", "_SECOND_WINDOW", "SLICE"):
-        monkeypatch.setattr(stream, name, 16 << 10)
+        monkeypatch.setattr(capture_file, name, 16 << 10)
     found = []
     for jobs in ("1", "2"):
         folder = tmp_path / jobs

@@ -22,7 +22,7 @@ from transfer_frames import Maker, space_packet
 
 from edoras_tools.addons.cfdp.link import Directive
 from edoras_tools.addons.lab.emulator import messages
-from edoras_tools.addons.rtps.wire.headers import SubmessageKind
+from edoras_tools.addons.rtps.wire import SubmessageKind
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
 from edoras_tools.diagnosis.rules import shipped_rules
 from edoras_tools.diagnosis.verdict import Severity

@@ -32,7 +32,7 @@ from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import CaptureError, WireError
 from edoras_tools.io import RecordingOptions
 from edoras_tools.io import processes as module
-from edoras_tools.io.formats import stream
+from edoras_tools.io.formats import capture_file
 from edoras_tools.io.formats.mcap import writer
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.formats.open import open_file
@@ -366,8 +366,8 @@ def recorded(path, types, capture, jobs):
 def test_recordings_are_the_same(tmp_path, types, monkeypatch, capture, room, slot, large):
     names = {path.stem for path in CAPTURES.glob("*.pcap")}
     name = next(item for item in sorted(names) if item.startswith(capture[:2]))
-    monkeypatch.setattr(stream, "FIRST", 3 << 10)
-    monkeypatch.setattr(stream, "SLICE", 16 << 10)
+    monkeypatch.setattr(capture_file, "FIRST", 3 << 10)
+    monkeypatch.setattr(capture_file, "SLICE", 16 << 10)
     monkeypatch.setattr(writer, "_LARGE", large)
     monkeypatch.setattr(module, "ROOM_BYTES", room)
     monkeypatch.setattr(module, "SLOT_BYTES", slot)
@@ -478,7 +478,7 @@ def test_a_recording_is_the_same_whether_it_yields(tmp_path, monkeypatch, spare)
     told = cycle(spare)
     monkeypatch.setattr(module, "spare_processors", lambda: next(told))
     for name in ("FIRST", "_SECOND_WINDOW", "SLICE"):
-        monkeypatch.setattr(stream, name, 16 << 10)
+        monkeypatch.setattr(capture_file, name, 16 << 10)
     given = []
     submit = Workers.submit
     monkeypatch.setattr(Workers, "submit", lambda self, *values: given.append(1) or submit(self, *values))

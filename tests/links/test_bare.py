@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.decode.filters.filter import Where
-from edoras_tools.decode.filters.messages import structs_of
+from edoras_tools.decode.filters.layers import structs_of
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import CFS_PORT, ROBOT_PORT

@@ -8,7 +8,7 @@ import numpy as np
 from places import ROOT
 
 from edoras_tools.addons.rtps.link import RTPS_MAGIC
-from edoras_tools.addons.rtps.wire.headers import SUBMESSAGE_LAYOUTS, SubmessageKind
+from edoras_tools.addons.rtps.wire import SUBMESSAGE_LAYOUTS, SubmessageKind
 from edoras_tools.io.formats.open import open_file
 
 FOLDER = ROOT / "samples/rtps"

@@ -35,7 +35,7 @@ from edoras_tools.addons.codegen.plan import (
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.mission import Mission, Route
 from edoras_tools.ros.store import USUAL_DISTRO
-from edoras_tools.ros.types.schema import full_name
+from edoras_tools.ros.types.library import full_name
 from edoras_tools.wire.envelope import EnvelopeFormat
 
 if TYPE_CHECKING:

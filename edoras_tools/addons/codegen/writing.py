@@ -11,9 +11,7 @@ import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.addons.codegen.generation import MARK, STARTUP, Generated
-from edoras_tools.addons.codegen.ground.cosmos import cosmos
-from edoras_tools.addons.codegen.ground.packets import PacketItem, route_packet, struct_packet
-from edoras_tools.addons.codegen.ground.xtce import xtce
+from edoras_tools.addons.codegen.ground import PacketItem, cosmos, route_packet, struct_packet, xtce
 from edoras_tools.cfs import edoras_app
 from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.outputs import write_files

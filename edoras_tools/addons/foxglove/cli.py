@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.foxglove.server.protocol import PlaybackState
     from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, ServedSink
     from edoras_tools.io import Source
-    from edoras_tools.io.formats.stream import SettledFile
+    from edoras_tools.io.formats.capture_file import SettledFile
     from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
     from edoras_tools.pipelines.reading import Limits
     from edoras_tools.pipelines.selection import Selection
@@ -196,8 +196,8 @@ def _piped(paths: Sequence[Path]) -> tuple[Sequence[Path | SettledFile], Source 
     """Return the recordings to play, or a live capture: standard input and a named pipe may be either."""
     if len(paths) != 1 or not (str(paths[0]) == "-" or paths[0].is_fifo()):
         return paths, None
+    from edoras_tools.io.formats.capture_file import SettledFile
     from edoras_tools.io.formats.open import kept_recording
-    from edoras_tools.io.formats.stream import SettledFile
 
     opened = kept_recording(paths[0])
     return ([opened], None) if isinstance(opened, SettledFile) else ((), opened)

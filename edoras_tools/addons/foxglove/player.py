@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.foxglove.server.protocol import PlaybackRequest, PlaybackState
 from edoras_tools.errors import CaptureError, EdorasError
-from edoras_tools.io.formats.stream import SettledFile
+from edoras_tools.io.formats.capture_file import SettledFile
 from edoras_tools.links.table import LinkStates
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.interrupt import on_interrupt

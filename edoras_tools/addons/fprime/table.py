@@ -20,9 +20,8 @@ from edoras_tools.addons.fprime import link as fprime
 from edoras_tools.addons.fprime.link import TIME_BYTES, VALUES_LAYER, PacketPlaces, PacketType
 from edoras_tools.model import Finding, Layer, LayerField, RosMessage
 from edoras_tools.structs.bindings import Bound, Encoded, StructPayloads, headed
-from edoras_tools.structs.messages import parts
+from edoras_tools.structs.messages import HEAD, StructPlan, parts
 from edoras_tools.structs.shapes import ENTRY_KEY, Key, Member, Struct, StructLayout
-from edoras_tools.structs.transcode import HEAD, StructPlan
 from edoras_tools.wire.arrays import Integers, Mask, Octets, by_value, copy_rows, gather, read_at
 
 if TYPE_CHECKING:

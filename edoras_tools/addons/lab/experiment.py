@@ -56,9 +56,8 @@ from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.sending.options import Receiver, SendOptions, receiver
-from edoras_tools.pipelines.sending.recording import SentRecording
 from edoras_tools.pipelines.sending.replay import ReplaySelection, changes_for, load_datagrams
-from edoras_tools.pipelines.sending.run import Transmission
+from edoras_tools.pipelines.sending.run import SentRecording, Transmission
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.sessions.faults.kinds import hertz, natural, probability, time_ns
 from edoras_tools.units import SECOND

@@ -18,8 +18,8 @@ from edoras_tools.decode.spacecraft import split_topic
 from edoras_tools.errors import ConfigError, InterruptError, RouteError
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.older import StrEnum
+from edoras_tools.pipelines.export.reading import TableForm, chosen_topics, fits_field
 from edoras_tools.pipelines.export.sources import LOST_TOPIC, TopicSource, open_topics
-from edoras_tools.pipelines.export.tables import TableForm, chosen_topics, fits_field
 from edoras_tools.pipelines.selection import PATTERN_SIGNS, Period, fits_topic
 from edoras_tools.render.plot.figure import (
     GREY,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from edoras_tools.addons.racs2 import link as racs2
-from edoras_tools.addons.racs2.streams import Opcode, WebSocketFraming
+from edoras_tools.addons.racs2.link import Opcode, WebSocketFraming
 from edoras_tools.errors import CaptureError, OnFailure
 from edoras_tools.io.net.sockets import address_of, bind, local_endpoint, resolve
 from edoras_tools.io.net.transmit import ANSWER_WITHIN_S, SendStatistics, StreamTransmitter

@@ -13,8 +13,7 @@ from edoras_tools.addons.ros_args.names import PART, Remap, remapped_node, remap
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission.bridges import find_bridges, node_of
 from edoras_tools.mission.loading import read_file
-from edoras_tools.mission.parameters import NodeParameters, name_matches, read_nodes
-from edoras_tools.mission.tree import Mistakes, yaml_text
+from edoras_tools.mission.tree import Mistakes, NodeParameters, name_matches, read_nodes, yaml_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

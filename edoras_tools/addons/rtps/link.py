@@ -48,13 +48,13 @@ class PublishSubscribeLink(LinkProtocol):
     @property
     def layouts(self) -> tuple[Layout, ...]:  # type: ignore[override]
         """Its headers, for each submessage in both byte orders; made at the first use."""
-        from edoras_tools.addons.rtps.wire.headers import EVERY_RTPS_LAYOUT
+        from edoras_tools.addons.rtps.wire import EVERY_RTPS_LAYOUT
 
         return EVERY_RTPS_LAYOUT
 
     def recognise(self, facts: Seen) -> Any:
         """Recognise the four letters at the start of every message."""
-        from edoras_tools.addons.rtps.wire.headers import RTPS_HEADER
+        from edoras_tools.addons.rtps.wire import RTPS_HEADER
 
         version = facts.field(RTPS_HEADER, "version_major")
         letters = facts.field(RTPS_HEADER, "magic") == int.from_bytes(RTPS_MAGIC, "big")
@@ -74,7 +74,7 @@ class PublishSubscribeLink(LinkProtocol):
 
     def rows(self, site: Site) -> OwnRows:
         """Return the object that reassembles samples from fragments."""
-        return self.part("fragments:SampleRows")(site)
+        return self.part("samples:SampleRows")(site)
 
     def topics(self, space: TopicSpace) -> OwnTopics | None:
         """Return the object that makes messages of samples; None if nothing decodes topics' announcements."""

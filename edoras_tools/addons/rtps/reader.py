@@ -6,16 +6,17 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from edoras_tools.addons.rtps.wire import headers as rtps
-from edoras_tools.addons.rtps.wire.headers import read_announcement, read_status
-from edoras_tools.addons.rtps.wire.messages import (
+from edoras_tools.addons.rtps import wire as rtps
+from edoras_tools.addons.rtps.wire import (
     LEAST_BYTES,
     RtpsMessages,
     SubmessageFields,
     Submessages,
     guid_text,
+    read_announcement,
     read_messages,
     read_samples,
+    read_status,
     sequence_set,
 )
 from edoras_tools.links.protocol import BatchRows, Located
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.addons.rtps.wire.messages import SampleData
+    from edoras_tools.addons.rtps.wire import SampleData
     from edoras_tools.links.doors import Endpoints, Reading, Site
     from edoras_tools.wire.layout import Layout
 

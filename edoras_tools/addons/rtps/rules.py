@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.addons.rtps.link import RTPS
-from edoras_tools.addons.rtps.wire.headers import PREFIX_BYTES
-from edoras_tools.addons.rtps.wire.messages import guid_text
+from edoras_tools.addons.rtps.wire import PREFIX_BYTES, guid_text
 from edoras_tools.addons.rtps.writers import SampleFollower, TopicWriter
 from edoras_tools.diagnosis.ledger import Row
 from edoras_tools.diagnosis.missing import Missing

@@ -32,8 +32,7 @@ import numpy as np
 from edoras_tools.addons.rtps.link import RTPS
 from edoras_tools.addons.rtps.reader import UserSubmessages, user_submessages
 from edoras_tools.addons.rtps.samples import READER
-from edoras_tools.addons.rtps.wire.headers import Announcement, SubmessageKind
-from edoras_tools.addons.rtps.wire.messages import guid_text
+from edoras_tools.addons.rtps.wire import Announcement, SubmessageKind, guid_text
 from edoras_tools.links.doors import MOST_ENDPOINTS, Endpoints, LinkEvidence, SampleStream
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 

@@ -43,8 +43,15 @@ from msgspec.structs import replace
 
 from edoras_tools.decode.filters.syntax import WhereError, parse_filter
 from edoras_tools.diagnosis.rules import rules
-from edoras_tools.mission.parameters import suggestion
-from edoras_tools.mission.tree import Mistakes, ScalarNode, SequenceNode, Tree, named_entries, read_document
+from edoras_tools.mission.tree import (
+    Mistakes,
+    ScalarNode,
+    SequenceNode,
+    Tree,
+    named_entries,
+    read_document,
+    suggestion,
+)
 from edoras_tools.model import Finding
 from edoras_tools.render import units
 from edoras_tools.sessions.faults.kinds import time_ns

@@ -6,8 +6,7 @@ import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from edoras_tools.addons.snapshot.sink import record_snapshots
-from edoras_tools.addons.snapshot.triggers import ask, listening
+from edoras_tools.addons.snapshot.sink import ask, listening, record_snapshots
 from edoras_tools.cli.output import finish, print_json, watcher
 from edoras_tools.pipelines.interrupt import Keys
 from edoras_tools.words import plural

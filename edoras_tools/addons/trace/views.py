@@ -11,8 +11,7 @@ import msgspec
 import numpy as np
 from rich.text import Text
 
-from edoras_tools.addons.trace.tracer import MessageTrace, TraceStep
-from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
+from edoras_tools.addons.trace.tracing import MessageTrace, TraceRequest, TraceStep, Tracing
 from edoras_tools.render import pages, units
 from edoras_tools.render.capture.sequence import mermaid_text
 from edoras_tools.render.severity import Level

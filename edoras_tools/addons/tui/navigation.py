@@ -13,7 +13,7 @@ from textual.binding import Binding
 from textual.worker import get_current_worker
 
 from edoras_tools.addons.tui.data.store import matcher, next_number
-from edoras_tools.addons.tui.lists.drawings import Drawing
+from edoras_tools.addons.tui.lists.control_room import Drawing
 from edoras_tools.addons.tui.lists.lines import Lines
 from edoras_tools.addons.tui.panes import Panes
 from edoras_tools.addons.tui.prompts import Sheet

@@ -20,7 +20,7 @@ from textual.theme import Theme
 from textual.widgets import ContentSwitcher, Footer, Static
 
 from edoras_tools.addons.tui.data.store import Store
-from edoras_tools.addons.tui.lists.drawings import Drawing, RateGraph, SequenceView
+from edoras_tools.addons.tui.lists.control_room import Drawing, RateGraph, SequenceView
 from edoras_tools.addons.tui.lists.hex_pane import WIDE, HexPane
 from edoras_tools.addons.tui.lists.layers import Layers
 from edoras_tools.addons.tui.lists.lines import HeaderLine, Lines, Packets

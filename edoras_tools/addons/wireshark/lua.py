@@ -22,7 +22,7 @@ from edoras_tools.model import NO_ROUTE, UNKNOWABLE, Finding
 from edoras_tools.render.severity import EXPLANATIONS, Level
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.cdr.plan import CdrPlan, PrimitiveRun, Repeat, Text
-from edoras_tools.ros.types.schema import PLACEHOLDER, full_name
+from edoras_tools.ros.types.library import PLACEHOLDER, full_name
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.files import load_layout
 from edoras_tools.structs.shapes import BasicKind
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.structs.bindings import Bound
-    from edoras_tools.structs.transcode import StructLeaf
+    from edoras_tools.structs.messages import StructLeaf
 
 
 DEMOS: Final = (

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.decode.filters.layers import layer_fields
-from edoras_tools.decode.filters.messages import MessageFieldFinder, samples_of, structs_of
+from edoras_tools.decode.filters.layers import MessageFieldFinder, layer_fields, samples_of, structs_of
 from edoras_tools.decode.filters.rows import (
     BYTES_COST,
     COLUMN_COST,
@@ -24,7 +23,7 @@ from edoras_tools.decode.filters.rows import (
 )
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Finding
-from edoras_tools.ros.types.schema import full_name
+from edoras_tools.ros.types.library import full_name
 from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire.arrays import by_key

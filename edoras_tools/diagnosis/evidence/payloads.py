@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs import command_ingest, executive_services, telemetry_output
 from edoras_tools.cfs.arguments import APPLICATIONS, ARGUMENTS, arguments_of, command_text
-from edoras_tools.decode.filters.messages import field_series, held_messages, structs_of
+from edoras_tools.decode.filters.layers import field_series, held_messages, structs_of
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
 from edoras_tools.errors import TruncatedError
 from edoras_tools.links import CFS_PORT, bare

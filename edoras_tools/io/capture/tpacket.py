@@ -30,8 +30,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2
-from edoras_tools.io.frames.chain import walk_records
-from edoras_tools.io.frames.frame_batch import FrameBatch, internet_checksum
+from edoras_tools.io.frames.frame_batch import FrameBatch, internet_checksum, walk_records
 from edoras_tools.io.frames.linklayer import demux, network_headers
 from edoras_tools.model import Finding
 from edoras_tools.wire.arrays import PADDING, read_at

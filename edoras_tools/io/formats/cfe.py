@@ -24,8 +24,7 @@ from edoras_tools.cfs.profile import SbnPeerConfig
 from edoras_tools.cfs.time_services import START_S
 from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.capture_file import RecordSource
-from edoras_tools.io.frames.chain import walk_records
-from edoras_tools.io.frames.frame_batch import FrameBatch, FramePage, ends_of
+from edoras_tools.io.frames.frame_batch import FrameBatch, FramePage, ends_of, walk_records
 from edoras_tools.links.table import STORED
 from edoras_tools.model import Endpoint, Peer, SourceInfo
 from edoras_tools.units import SECOND
@@ -54,7 +53,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from edoras_tools.io.formats.stream import Window
+    from edoras_tools.io.formats.capture_file import Window
     from edoras_tools.wire.arrays import Integers, Octets, Places
     from edoras_tools.wire.layout import Layout
 

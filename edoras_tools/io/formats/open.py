@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 from edoras_tools.errors import CaptureError, NoDatagramsError, OnFailure
 from edoras_tools.io.formats import table
-from edoras_tools.io.formats.pcap import MAGICS, PcapSource
-from edoras_tools.io.formats.stream import (
+from edoras_tools.io.formats.capture_file import (
     ByteStream,
     CompressedStream,
     FileStream,
@@ -21,6 +20,7 @@ from edoras_tools.io.formats.stream import (
     Window,
     settled_file,
 )
+from edoras_tools.io.formats.pcap import MAGICS, PcapSource
 from edoras_tools.wire.cfe import CFE_MAGIC
 
 if TYPE_CHECKING:

@@ -19,8 +19,7 @@ from edoras_tools.io.formats.capture_file import (
     CaptureFileSink,
     RecordSource,
 )
-from edoras_tools.io.frames.chain import walk_records
-from edoras_tools.io.frames.frame_batch import FrameBatch
+from edoras_tools.io.frames.frame_batch import FrameBatch, walk_records
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.wire.arrays import copy_rows, put_rows, read_at
 
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.formats.stream import Window
+    from edoras_tools.io.formats.capture_file import Window
     from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 FILE_HEADER_BYTES = 24

@@ -22,8 +22,7 @@ from edoras_tools.io.formats.capture_file import (
     CaptureFileSink,
     RecordSource,
 )
-from edoras_tools.io.frames.chain import walk_records
-from edoras_tools.io.frames.frame_batch import FrameBatch
+from edoras_tools.io.frames.frame_batch import FrameBatch, walk_records
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import Integers, Mask, Octets, copy_rows, distinct, put_rows, read_at
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.formats.stream import Window
+    from edoras_tools.io.formats.capture_file import Window
 
 
 class TimeScale(msgspec.Struct, frozen=True):

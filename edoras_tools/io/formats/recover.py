@@ -22,6 +22,7 @@ from mcap.opcode import Opcode
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, os_errors
+from edoras_tools.io.formats.capture_file import Window
 from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES
 from edoras_tools.io.formats.mcap.file import MESSAGE_HEAD, RECORD_HEAD, McapFile, pack_chunks
 from edoras_tools.io.formats.mcap.recover import read_again
@@ -34,7 +35,6 @@ from edoras_tools.io.formats.open import unwrapped
 from edoras_tools.io.formats.pcap import MAGICS, PcapSource
 from edoras_tools.io.formats.pcapng import PcapngSource
 from edoras_tools.io.formats.rosbag2.reader import query
-from edoras_tools.io.formats.stream import Window
 from edoras_tools.io.outputs import NewFile
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
-from edoras_tools.io.frames.chain import walk_records
+from edoras_tools.io.frames.frame_batch import walk_records
 from edoras_tools.io.frames.tcp_segments import SegmentBytes, Segments, rebuilt
 from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, StreamState
 from edoras_tools.model import Finding, PacketBatch

@@ -17,8 +17,8 @@ from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, Format,
 from edoras_tools.io.outputs import check_links, in_the_way, name_that_fits, refuse_existing, refuse_input
 from edoras_tools.io.topics.messages import DATAGRAMS_TOPIC
 from edoras_tools.io.topics.streams import FAULTS, OWN_TOPICS
+from edoras_tools.pipelines.export.reading import TableForm, check_fields, chosen_topics, has_field
 from edoras_tools.pipelines.export.sources import JUDGED, TopicSource
-from edoras_tools.pipelines.export.tables import TableForm, check_fields, chosen_topics, has_field
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence

@@ -15,8 +15,8 @@ from msgspec.structs import replace
 from edoras_tools.addons.debug_info.dwarf import DebugInfo
 from edoras_tools.structs import Structs
 from edoras_tools.structs.files import dumps, parse_layout
+from edoras_tools.structs.messages import HEAD as HEAD_BYTES
 from edoras_tools.structs.shapes import Key
-from edoras_tools.structs.transcode import HEAD as HEAD_BYTES
 
 SIZE = 512
 """Bytes that each struct is filled with."""

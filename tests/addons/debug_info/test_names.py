@@ -7,7 +7,7 @@ import pytest
 
 from edoras_tools.addons.debug_info.dwarf import DebugInfo
 from edoras_tools.decode import Context
-from edoras_tools.decode.filters.messages import MessageFieldFinder
+from edoras_tools.decode.filters.layers import MessageFieldFinder
 from edoras_tools.structs import shipped_structs
 from edoras_tools.structs.messages import aliased, field_name, parts, shown_name
 

@@ -263,7 +263,7 @@ def test_a_header_is_recognised(payload, link):
 
 
 def test_opcodes_are_those_of_the_public_package():
-    from edoras_tools.addons.racs2.streams import Opcode as Ours
+    from edoras_tools.addons.racs2.link import Opcode as Ours
 
     assert {item.name.removesuffix("INUATION"): int(item) for item in Opcode} == {
         item.name.removesuffix("INUATION"): int(item) for item in Ours

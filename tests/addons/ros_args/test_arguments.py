@@ -10,8 +10,7 @@ from edoras_tools.addons.ros_args.arguments import RosArguments
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission import load, loads
 from edoras_tools.mission.loading import read_file
-from edoras_tools.mission.parameters import NodeParameters
-from edoras_tools.mission.tree import Mistakes
+from edoras_tools.mission.tree import Mistakes, NodeParameters
 
 BRIDGE = """
 {}:

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from rtps import made, message
 from rtps_batches import batch_of
 
-from edoras_tools.addons.rtps import fragments as fragmented
-from edoras_tools.addons.rtps.fragments import LARGEST_SAMPLE, FragmentedSamples
-from edoras_tools.addons.rtps.wire.headers import SubmessageKind
+from edoras_tools.addons.rtps import samples as fragmented
+from edoras_tools.addons.rtps.samples import LARGEST_SAMPLE, FragmentedSamples
+from edoras_tools.addons.rtps.wire import SubmessageKind
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.ros import TypeStore
 

@@ -13,7 +13,7 @@ from rtps import CAPTURES, PREFIX, TRUTH, WRITER, announced, batches, data, mess
 from rtps_batches import batch_of
 
 from edoras_tools.addons.rtps.link import RTPS
-from edoras_tools.addons.rtps.wire.headers import EVERY_RTPS_LAYOUT, STATUS_NAMES, Announcement
+from edoras_tools.addons.rtps.wire import EVERY_RTPS_LAYOUT, STATUS_NAMES, Announcement
 from edoras_tools.decode import ColumnDecoder, Context, Dissector
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.names import Names

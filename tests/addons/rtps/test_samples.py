@@ -13,7 +13,7 @@ from rtps import CAPTURES, PREFIX, TRUTH, TWIST, WRITER, announced, data, messag
 from rtps_batches import batch_of
 
 from edoras_tools.addons.rtps.samples import LeftSamples, SampleMessages
-from edoras_tools.addons.rtps.wire.headers import Announcement
+from edoras_tools.addons.rtps.wire import Announcement
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.links.doors import Endpoints
 from edoras_tools.pipelines.capture.record import Target, record

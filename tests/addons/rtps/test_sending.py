@@ -16,7 +16,7 @@ from places import ROOT, SUPPORT
 from waiting import Program, until
 
 from edoras_tools.addons.dds.graph import DdsGraph
-from edoras_tools.addons.rtps.wire.headers import read_announcement
+from edoras_tools.addons.rtps.wire import read_announcement
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.workbench import Settings, open_files
 

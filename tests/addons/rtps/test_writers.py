@@ -10,7 +10,7 @@ from rtps import CAPTURES, PREFIX, TRUTH, WRITER, data, made, message
 from rtps_batches import batch_of
 from schema import check, published
 
-from edoras_tools.addons.rtps.wire.headers import SubmessageKind
+from edoras_tools.addons.rtps.wire import SubmessageKind
 from edoras_tools.addons.rtps.writers import MOST_ASKED, SampleFollower
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.links.doors import Endpoints

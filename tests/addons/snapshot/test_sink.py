@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from places import ROOT
 
-from edoras_tools.addons.snapshot.sink import SnapshotSink, record_snapshots
-from edoras_tools.addons.snapshot.triggers import Triggers
+from edoras_tools.addons.snapshot.sink import SnapshotSink, Triggers, record_snapshots
 from edoras_tools.cli.record import SnapshotOptions
 from edoras_tools.errors import ConfigError
 from edoras_tools.io import Sink

@@ -9,7 +9,7 @@ import threading
 import pytest
 from waiting import until
 
-from edoras_tools.addons.snapshot.triggers import Triggers, ask, listening
+from edoras_tools.addons.snapshot.sink import Triggers, ask, listening
 from edoras_tools.errors import CaptureError
 
 

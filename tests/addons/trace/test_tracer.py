@@ -10,7 +10,7 @@ import truth
 from places import ROOT
 
 from edoras_tools.addons.trace.rounds import rounds_into, rounds_out
-from edoras_tools.addons.trace.tracer import Tracer, messages_in, with_ending
+from edoras_tools.addons.trace.tracing import Tracer, messages_in, with_ending
 from edoras_tools.diagnosis.matching.crossing import latency_of
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.pipelines.clocks import open_aligned

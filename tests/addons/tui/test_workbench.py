@@ -12,8 +12,7 @@ from rich.console import Console
 
 from edoras_tools.addons.tui.data.figures import _round_before, rate_figure
 from edoras_tools.addons.tui.data.store import WatchThread
-from edoras_tools.addons.tui.lists.control_room import room_rows
-from edoras_tools.addons.tui.lists.drawings import finding_rows
+from edoras_tools.addons.tui.lists.control_room import finding_rows, room_rows
 from edoras_tools.addons.tui.navigation import joined_filter
 from edoras_tools.io.net.receive import UdpSource
 from edoras_tools.model import Endpoint

@@ -18,7 +18,7 @@ from places import CAPTURES
 from waiting import PATIENCE_S
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats import stream
+from edoras_tools.io.formats import capture_file
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.workbench import Settings
@@ -176,8 +176,8 @@ def test_a_file_that_may_not_be_read(tmp_path, monkeypatch):
 
 
 def test_memory_stays_bounded(tmp_path, monkeypatch):
-    monkeypatch.setattr(stream, "SLICE", 20_000)
-    monkeypatch.setattr(stream, "FIRST", 1000)
+    monkeypatch.setattr(capture_file, "SLICE", 20_000)
+    monkeypatch.setattr(capture_file, "FIRST", 1000)
     with closing(open_file(CAPTURES / "a_rover.pcap")) as source:
         sizes = [batch.data.size for batch in source.batches()]
     assert sizes[0] < 1200

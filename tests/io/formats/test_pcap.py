@@ -19,10 +19,10 @@ from scapy.packet import Raw
 from scapy.utils import RawPcapReader, wrpcap
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats import pcap, stream
+from edoras_tools.io.formats import capture_file, pcap
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcap import PcapSink
-from edoras_tools.io.frames import chain as framing
+from edoras_tools.io.frames import frame_batch as framing
 from edoras_tools.model import PacketBatch, SourceStatistics
 from edoras_tools.pipelines.capture.record import Target
 from edoras_tools.pipelines.capture.record import record as record_all
@@ -61,8 +61,8 @@ def udp_frame(payload):
 def _sizes(monkeypatch, request):
     """Once as it is, once so small that a few records take all the ways that millions do."""
     if request.param == "tiny":
-        monkeypatch.setattr(stream, "FIRST", 300)
-        monkeypatch.setattr(stream, "SLICE", 1000)
+        monkeypatch.setattr(capture_file, "FIRST", 300)
+        monkeypatch.setattr(capture_file, "SLICE", 1000)
         monkeypatch.setattr(pcap, "_STRIDE", 64)
         monkeypatch.setattr(pcap, "_SIGHT", 64)
         monkeypatch.setattr(framing, "_LANES", 2)
@@ -260,7 +260,7 @@ def test_garbage_behind_a_header(content):
         def close(self):
             pass
 
-    source = pcap.PcapSource(stream.Window(Memory(), header()))
+    source = pcap.PcapSource(capture_file.Window(Memory(), header()))
     with suppress(CaptureError):
         for batch in source.batches():
             assert len(batch)

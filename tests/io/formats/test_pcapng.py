@@ -19,10 +19,10 @@ from scapy.packet import Raw
 from scapy.utils import RawPcapNgReader, wrpcapng
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats import pcapng, stream
+from edoras_tools.io.formats import capture_file, pcapng
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcapng import PcapngSink, TimeScale
-from edoras_tools.io.frames import chain as framing
+from edoras_tools.io.frames import frame_batch as framing
 from edoras_tools.model import PacketBatch, SourceStatistics, concatenate
 
 RAW = bytes(IP(src="127.0.0.1", dst="127.0.0.2") / UDP(sport=1, dport=2) / Raw(b"hello"))
@@ -103,8 +103,8 @@ def test_statistics_in_the_other_byte_order(tmp_path):
 @pytest.fixture(params=["default", "tiny"])
 def _sizes(monkeypatch, request):
     if request.param == "tiny":
-        monkeypatch.setattr(stream, "FIRST", 300)
-        monkeypatch.setattr(stream, "SLICE", 1000)
+        monkeypatch.setattr(capture_file, "FIRST", 300)
+        monkeypatch.setattr(capture_file, "SLICE", 1000)
         monkeypatch.setattr(pcapng, "_STRIDE", 64)
         monkeypatch.setattr(pcapng, "_SIGHT", 64)
         monkeypatch.setattr(framing, "_LANES", 2)

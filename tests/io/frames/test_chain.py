@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.io.frames import chain as framing
-from edoras_tools.io.frames.chain import walk_records
+from edoras_tools.io.frames import frame_batch as framing
+from edoras_tools.io.frames.frame_batch import walk_records
 from edoras_tools.wire.arrays import read_at
 
 HEADER = 2

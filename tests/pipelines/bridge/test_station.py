@@ -7,8 +7,8 @@ import threading
 
 import pytest
 
-from edoras_tools.pipelines.bridge import station as bridge_inbox
-from edoras_tools.pipelines.bridge.station import Inbox
+from edoras_tools.pipelines.bridge import run as bridge_inbox
+from edoras_tools.pipelines.bridge.run import Inbox
 
 
 @pytest.fixture

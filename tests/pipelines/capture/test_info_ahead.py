@@ -22,7 +22,7 @@ from rewriting import datagrams, write
 from edoras_tools.decode.columns import Begun
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import processes
-from edoras_tools.io.formats import stream
+from edoras_tools.io.formats import capture_file
 from edoras_tools.model import Columns, PacketBatch
 from edoras_tools.pipelines.capture import info as module
 from edoras_tools.pipelines.capture.info import Ahead, inspect
@@ -43,7 +43,7 @@ def any_file(monkeypatch):
     """Small files are read ahead too, in many windows."""
     monkeypatch.setattr("edoras_tools.io.processes._LARGE", 1)
     for name in ("FIRST", "_SECOND_WINDOW", "SLICE"):
-        monkeypatch.setattr(stream, name, 8 << 10)
+        monkeypatch.setattr(capture_file, name, 8 << 10)
 
 
 def looked_at(path, jobs, **how):
@@ -78,7 +78,7 @@ def test_info_is_the_same_with_any_number_of_processes(path):
 def test_batches_are_the_same_however_they_are_cut(window, batches, room, slot):
     path = ROOT / "samples/captures/a_rover.pcap"
     with (
-        patch.multiple(stream, FIRST=window, _SECOND_WINDOW=window, SLICE=window),
+        patch.multiple(capture_file, FIRST=window, _SECOND_WINDOW=window, SLICE=window),
         patch.multiple(module, _BATCHES=batches),
         patch.multiple(processes, ROOM_BYTES=room, SLOT_BYTES=slot),
     ):

@@ -20,9 +20,9 @@ from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.export.reading import TableForm
 from edoras_tools.pipelines.export.run import ExportTarget, export
 from edoras_tools.pipelines.export.sources import open_topics
-from edoras_tools.pipelines.export.tables import TableForm
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 

@@ -12,15 +12,15 @@ from places import CAPTURES, MISSIONS, SAMPLE_MISSIONS
 from rtps import CAPTURES as DDS
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats import stream
+from edoras_tools.io.formats import capture_file
 from edoras_tools.io.formats.columns import TableFile
 from edoras_tools.io.processes import Workers
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export import run
+from edoras_tools.pipelines.export.reading import TableForm
 from edoras_tools.pipelines.export.run import ExportTarget, export
 from edoras_tools.pipelines.export.sources import CaptureTopics, open_topics
-from edoras_tools.pipelines.export.tables import TableForm
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 
@@ -36,7 +36,7 @@ def submitted(monkeypatch):
     """Small files are shared too, in many windows; the batches that other processes got."""
     monkeypatch.setattr("edoras_tools.io.processes._LARGE", 1)
     for name in ("FIRST", "_SECOND_WINDOW", "SLICE"):
-        monkeypatch.setattr(stream, name, 16 << 10)
+        monkeypatch.setattr(capture_file, name, 16 << 10)
     given, submit = [], Workers.submit
     monkeypatch.setattr(Workers, "submit", lambda self, *values: given.append(1) or submit(self, *values))
     return given

@@ -16,8 +16,8 @@ from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.capture.record import Target
 from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule
-from edoras_tools.pipelines.sending.recording import SentRecording
 from edoras_tools.pipelines.sending.responses import Responses
+from edoras_tools.pipelines.sending.run import SentRecording
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.faults.kinds import Fault
 from edoras_tools.sessions.outgoing import Outgoing, Packet
@@ -112,7 +112,7 @@ def test_faults_are_recorded_as_what_they_are(bench, tmp_path):
 
 
 def test_much_is_written_before_the_end(bench, tmp_path, monkeypatch):
-    monkeypatch.setattr("edoras_tools.pipelines.sending.recording._MOST", 3)
+    monkeypatch.setattr("edoras_tools.pipelines.sending.run._MOST", 3)
     recording = SentRecording(FakeWire(), Target(tmp_path / "x.pcap"), bench)
     for payload in COMMANDS:
         recording.put(payload)

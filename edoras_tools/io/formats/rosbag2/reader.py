@@ -26,6 +26,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from edoras_tools.errors import CaptureError, os_errors
+from edoras_tools.io.formats.capture_file import SettledFile
 from edoras_tools.io.formats.mcap.messages import (
     SelectedMessages,
     chunk_content,
@@ -33,7 +34,6 @@ from edoras_tools.io.formats.mcap.messages import (
     joined_messages,
     scanned,
 )
-from edoras_tools.io.formats.stream import SettledFile
 from edoras_tools.io.topics.messages import MAGIC
 from edoras_tools.mission.model import RecordedTopic
 from edoras_tools.mission.tree import printable

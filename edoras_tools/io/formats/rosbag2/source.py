@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from edoras_tools.io.formats.capture_file import SettledFile
     from edoras_tools.io.formats.mcap.messages import SelectedMessages
-    from edoras_tools.io.formats.stream import SettledFile
     from edoras_tools.mission.model import RecordedTopic
 
 

@@ -22,8 +22,7 @@ from ground_packets import (
 from places import MISSIONS, ROOT, SUPPORT
 from waiting import PATIENCE_S
 
-from edoras_tools.addons.codegen.ground.cosmos import cosmos
-from edoras_tools.addons.codegen.ground.packets import PacketItem, identifier, route_packet
+from edoras_tools.addons.codegen.ground import PacketItem, cosmos, identifier, route_packet
 from edoras_tools.addons.codegen.writing import describe_packets
 from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO
 from edoras_tools.cfs.commands import CALLS, call

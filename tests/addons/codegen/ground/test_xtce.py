@@ -13,8 +13,7 @@ from places import CAPTURES, MISSIONS
 from rewriting import datagrams
 from space_packet_parser.xtce.definitions import XtcePacketDefinition
 
-from edoras_tools.addons.codegen.ground.packets import StringItem, identifier, route_packet
-from edoras_tools.addons.codegen.ground.xtce import xtce
+from edoras_tools.addons.codegen.ground import StringItem, identifier, route_packet, xtce
 from edoras_tools.addons.codegen.writing import describe_packets
 from edoras_tools.decode import Options
 from edoras_tools.errors import ConfigError

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from places import SAMPLES
 from xml_damage import damaged
 
-from edoras_tools.addons.codegen.ground.packets import struct_packet
-from edoras_tools.addons.codegen.ground.xtce import xtce
+from edoras_tools.addons.codegen.ground import struct_packet, xtce
 from edoras_tools.addons.codegen.writing import describe_packets
 from edoras_tools.addons.databases.xtce.systems import is_system, read_system, read_systems
 from edoras_tools.errors import ConfigError

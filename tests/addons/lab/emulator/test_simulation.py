@@ -7,8 +7,8 @@ from msgspec.structs import replace
 from places import ROOT
 
 from edoras_tools.addons.lab.emulator import BOOT_NS, MISSIONS, SCENARIOS, Simulation, messages
+from edoras_tools.addons.lab.emulator.bridges import Arm, Rover
 from edoras_tools.addons.lab.emulator.messages import FixedStruct
-from edoras_tools.addons.lab.emulator.robots import Arm, Rover
 from edoras_tools.cfs.profile import FLIGHT_BRIDGE, Ports, SimProfile
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rtps import PREFIX, TWIST, WRITER, announcement, parameter, text
 
-from edoras_tools.addons.rtps.wire.headers import (
+from edoras_tools.addons.rtps.wire import (
     BUILT_IN,
     EVERY_RTPS_LAYOUT,
     LONGEST_TEXT,

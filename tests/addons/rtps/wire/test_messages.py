@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rtps import PREFIX, READER, WRITER, buffer, data, made, message, parameter, submessage
 
-from edoras_tools.addons.rtps.wire.headers import SubmessageKind
-from edoras_tools.addons.rtps.wire.messages import (
+from edoras_tools.addons.rtps.wire import (
     MOST_SUBMESSAGES,
     NO_TIME,
     NOWHERE,
     SubmessageFields,
+    SubmessageKind,
     guid_text,
     read_messages,
     read_samples,

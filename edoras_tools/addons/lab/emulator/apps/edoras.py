@@ -20,8 +20,8 @@ from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from edoras_tools.addons.lab.emulator.bridges import Robot
     from edoras_tools.addons.lab.emulator.cfs import Cfs
-    from edoras_tools.addons.lab.emulator.robots import Robot
     from edoras_tools.addons.lab.emulator.routes import SystemRoutes
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.addons.lab.emulator.services.software_bus import Pipe

@@ -1,1 +1,0 @@
-"""Descriptions of the packets of a mission for ground systems: XTCE, and COSMOS."""
