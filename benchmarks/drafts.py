@@ -27,12 +27,11 @@ sys.path[:0] = [str(ROOT / "tests/support")]
 from rewriting import datagrams, write  # noqa: E402
 
 from edoras_tools.addons.lab.experiment import CellBench, ExperimentPlan  # noqa: E402
-from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, check  # noqa: E402
+from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, Figures, Subject, check  # noqa: E402  # noqa: E402
 from edoras_tools.addons.runs.check import _bounded as bounded  # noqa: E402
 from edoras_tools.addons.runs.draft import _FIELD as FIELD  # noqa: E402
 from edoras_tools.addons.runs.draft import Draft  # noqa: E402
 from edoras_tools.addons.runs.expectations import load_expectations  # noqa: E402
-from edoras_tools.addons.runs.observation import Figures, Subject  # noqa: E402
 from edoras_tools.addons.runs.run import read_runs  # noqa: E402
 from edoras_tools.diagnosis.verdict import Severity  # noqa: E402
 from edoras_tools.pipelines.capture.record import Target, record  # noqa: E402

@@ -14,7 +14,7 @@ import pytest
 from effort import LONG
 from streams import SYN, Segment, sbn_messages, write_segments
 
-from edoras_tools.decode import contents
+from edoras_tools.decode import lines
 from edoras_tools.io.formats.merge import merge_sources
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.capture.info import inspect
@@ -122,12 +122,12 @@ def spent(work, path):
 def test_many_msg_ids_are_not_dissected_one_by_one(tmp_path, monkeypatch):
     seen = []
 
-    class Counting(contents.Dissector):
+    class Counting(lines.Dissector):
         def dissect(self, datagram):
             seen.append(datagram)
             return super().dissect(datagram)
 
-    monkeypatch.setattr(contents, "Dissector", Counting)
+    monkeypatch.setattr(lines, "Dissector", Counting)
     msg_ids(tmp_path / "x.pcap", 4094)(tmp_path / "x.pcap")
     assert len(seen) < 100
 

@@ -24,7 +24,6 @@ ELSEWHERE = {
     "addons/lab/demo/*": "addons/lab/demo/test_parts.py",
     "addons/lab/emulator/*": "addons/lab/emulator/test_simulation.py",
     "addons/lab/emulator/apps/*": "addons/lab/emulator/test_captures.py",
-    "addons/lab/sweep/*": "addons/lab/sweep/test_run.py",
     "addons/lab/views/*": "addons/lab/views/test_view.py",
     "addons/tui/*": "addons/tui/test_viewer.py",
     "addons/tui/cli.py": "addons/tui/test_command.py",

@@ -15,7 +15,7 @@ from edoras_tools.io.outputs import STDOUT, check_new, write_bytes
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
+    from edoras_tools.io.formats.mcap.recovery.records import KnownTopics
     from edoras_tools.pipelines.capture.record import Target
 
 
@@ -43,7 +43,7 @@ def known_topics(config: Sequence[Path] | None) -> KnownTopics:
     Raises:
         ConfigError: a mission has errors.
     """
-    from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
+    from edoras_tools.io.formats.mcap.recovery.records import KnownTopics
     from edoras_tools.pipelines.workbench import Settings
 
     if not config:

@@ -123,7 +123,7 @@ def run_relay(
         keyboard: whether keys switch faults while the table is shown.
         metrics: address where the figures are served; None: they are not.
     """
-    from edoras_tools.pipelines.interrupt import on_interrupt
+    from edoras_tools.pipelines.reading import on_interrupt
 
     with ExitStack() as stack:
         stack.enter_context(on_interrupt(relay.stop))  # before the user reads that Ctrl-C ends it
@@ -134,7 +134,7 @@ def run_relay(
                 from edoras_tools.render.terminal.terminal import error_console
 
                 if keyboard:
-                    from edoras_tools.pipelines.interrupt import Keys
+                    from edoras_tools.pipelines.reading import Keys
 
                     how["keys"] = stack.enter_context(Keys())
                 how["watcher"] = stack.enter_context(table(error_console()))

@@ -234,7 +234,7 @@ def carry_out(
         tell_reach(send_options.listen, "answer", instead="--no-listen receives no answers")
     keys = None
     if send_options.step or asks:
-        from edoras_tools.pipelines.interrupt import Keys
+        from edoras_tools.pipelines.reading import Keys
 
         keys = Keys()
     with ExitStack() as stack:

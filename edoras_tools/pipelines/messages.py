@@ -17,7 +17,7 @@ from edoras_tools.decode.recorded import JSON_ENCODING
 from edoras_tools.errors import ConfigError, NoDatagramsError, OnFailure
 from edoras_tools.io.formats.merge import merge_sources
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.rosbag2.source import MessageSource, NumberedTopics
+from edoras_tools.io.formats.rosbag2.reader import MessageSource, NumberedTopics
 from edoras_tools.io.topics.streams import QOS_METADATA
 from edoras_tools.mission import Handling, Mission, RecordedTopic, Route
 from edoras_tools.model import NO_MSG_ID, OTHER

@@ -14,7 +14,7 @@ from places import ROOT
 
 from edoras_tools.addons.lab.emulator import Simulation, WireDatagram
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options, contents
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options, lines
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.lines import PacketLines, line_of
@@ -116,7 +116,7 @@ def agree(batch, context):
 
 @pytest.fixture(autouse=True)
 def _columns_of_few_packets_too(monkeypatch):
-    monkeypatch.setattr(contents, "_FEW", 0)
+    monkeypatch.setattr(lines, "_FEW", 0)
 
 
 def test_the_captures_are_there():

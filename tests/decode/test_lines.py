@@ -7,7 +7,7 @@ from contextlib import closing
 import pytest
 from places import CAPTURES, ROOT
 
-from edoras_tools.decode import ColumnDecoder, Context, Dissector, contents
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, lines
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.lines import PacketLines, line_of
 from edoras_tools.io.formats.open import open_file
@@ -45,7 +45,7 @@ def test_only_what_columns_do_not_tell_is_dissected_and_equal_bytes_once(rows, m
             seen[datagram.payload] += 1
             return super().dissect(datagram)
 
-    monkeypatch.setattr(contents, "Dissector", Counting)
+    monkeypatch.setattr(lines, "Dissector", Counting)
     made = list(PacketLines(rows.context).of(rows))
     alone = {rows.batch[row].payload for row in (rows.columns.packet_offset < 0).nonzero()[0].tolist()}
     assert len(made) == len(rows) > 1800
@@ -86,7 +86,7 @@ def test_malformed_packets_come_from_columns_too(seed, monkeypatch):
             dissected.append(datagram.number)
             return super().dissect(datagram)
 
-    monkeypatch.setattr(contents, "Dissector", Counting)
+    monkeypatch.setattr(lines, "Dissector", Counting)
     assert list(PacketLines(context).of(made)) == [line_of(item) for item in stopped]
     assert len(cut) > 100
     assert len(cut.intersection(dissected)) < len(cut) / 5

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import pytest
 from waiting import until
 
-from edoras_tools.pipelines.interrupt import Keys, on_interrupt
+from edoras_tools.pipelines.reading import Keys, on_interrupt
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

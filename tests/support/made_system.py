@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import Simulation, WireDatagram
 from edoras_tools.addons.lab.emulator.apps import generator
-from edoras_tools.addons.lab.emulator.routes import SystemRoutes
+from edoras_tools.addons.lab.emulator.cfs import SystemRoutes
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.io.formats.pcap import PcapSink
 from edoras_tools.io.frames.frame_batch import frames_of

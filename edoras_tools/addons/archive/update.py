@@ -30,7 +30,7 @@ from distributed.security import Security
 from edoras_tools.addons.archive.places import ListedFile, find_captures, root_of
 from edoras_tools.addons.archive.work import CHANGING, Task, examine_group, failed, fingerprint
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.reading import on_interrupt
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -11,5 +11,5 @@ DDS: Final = Middleware(
     "an extra ({why}): pip install 'edoras-tools[dds]'",
     usual=True,
     open=True,
-    peers=f"{__name__}.peers:distro_seen",
+    peers=f"{__name__}.graph:distro_seen",
 )

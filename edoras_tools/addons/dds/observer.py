@@ -18,10 +18,9 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from edoras_tools.addons.dds import domain as dds_domain
-from edoras_tools.addons.dds import peers as dds_peers
-from edoras_tools.addons.dds.graph import reader_qos
+from edoras_tools.addons.dds import graph as dds_peers
+from edoras_tools.addons.dds.graph import Session, reader_qos
 from edoras_tools.addons.dds.messages import DdsTypes, info_taker_of, trimmed
-from edoras_tools.addons.dds.peers import Session
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware.graph import Qos, ros_name
 from edoras_tools.ros.type_hash import type_hash

@@ -135,7 +135,7 @@ def live(
     """
     from edoras_tools.addons.foxglove.serving import attach, attach_player
     from edoras_tools.addons.foxglove.serving import live as run
-    from edoras_tools.pipelines.interrupt import on_interrupt
+    from edoras_tools.pipelines.reading import on_interrupt
 
     (_, live_options), sim = source
     (json, quiet), limits = printing, stop.limits.limits()
@@ -216,7 +216,7 @@ def _play(
     """Play a recording; return a summary, and the error if the recording is cut off."""
     from edoras_tools.addons.foxglove import player as playing
     from edoras_tools.pipelines.doctor.scope import Scope
-    from edoras_tools.pipelines.interrupt import on_interrupt
+    from edoras_tools.pipelines.reading import on_interrupt
     from edoras_tools.render import units
 
     info, bench, reopen = playing.open_recording(files, settings)
@@ -250,7 +250,7 @@ def _keyboard(
         yield str, lambda _: None
         return
     from edoras_tools.addons.foxglove.player import HELP
-    from edoras_tools.pipelines.interrupt import Keys
+    from edoras_tools.pipelines.reading import Keys
 
     def show(state: PlaybackState) -> None:
         line = playback_line(state, player.range_ns, len(sink.server.clients), waiting=player.waiting)

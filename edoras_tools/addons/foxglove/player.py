@@ -19,9 +19,8 @@ from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.capture_file import SettledFile
 from edoras_tools.links.table import LinkStates
 from edoras_tools.pipelines.doctor.scope import Scope
-from edoras_tools.pipelines.interrupt import on_interrupt
 from edoras_tools.pipelines.messages import open_inputs
-from edoras_tools.pipelines.reading import RunCounter
+from edoras_tools.pipelines.reading import RunCounter, on_interrupt
 from edoras_tools.pipelines.selection import outside
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.units import MILLISECOND, SECOND

@@ -224,11 +224,11 @@ def sim(
     from threading import Event
 
     from edoras_tools.addons.lab.emulator import Simulation, serve
+    from edoras_tools.addons.lab.emulator.cfs import mission_profile, routes_of, with_limit
     from edoras_tools.addons.lab.emulator.messages import bus_id
-    from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of, with_limit
     from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
     from edoras_tools.model import Endpoint
-    from edoras_tools.pipelines.interrupt import on_interrupt
+    from edoras_tools.pipelines.reading import on_interrupt
 
     # If the sockets are bound to every address, the parts still use loopback among themselves.
     address = "127.0.0.1" if host == "0.0.0.0" else host  # noqa: S104  the user asked for it

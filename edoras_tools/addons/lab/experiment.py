@@ -37,7 +37,7 @@ import msgspec
 from msgspec.structs import asdict, replace
 
 from edoras_tools.addons.lab.emulator import BOOT_NS, SCENARIOS, Simulation
-from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of, with_limit
+from edoras_tools.addons.lab.emulator.cfs import mission_profile, routes_of, with_limit
 from edoras_tools.addons.lab.emulator.source import (
     SimulatedSource,
     SimulatedWire,

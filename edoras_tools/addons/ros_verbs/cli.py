@@ -34,10 +34,9 @@ from edoras_tools.ros.types.library import MessageField, Shape
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from edoras_tools.addons.ros_verbs.endpoints import GraphEndpoint
+    from edoras_tools.addons.ros_verbs.endpoints import GraphEndpoint, GraphRequest
     from edoras_tools.addons.ros_verbs.messages import Kind, MessageBlock
     from edoras_tools.addons.ros_verbs.playing import PlayRequest
-    from edoras_tools.addons.ros_verbs.source import GraphRequest
     from edoras_tools.io import Source
     from edoras_tools.middleware.graph import Qos
     from edoras_tools.pipelines.workbench import Workbench
@@ -187,7 +186,7 @@ class SourceOptions(NamedTuple):
 
     def request(self, topics: Sequence[str], qos: QosOptions = QosOptions()) -> GraphRequest:
         """Return the request for a graph."""
-        from edoras_tools.addons.ros_verbs.source import GraphRequest
+        from edoras_tools.addons.ros_verbs.endpoints import GraphRequest
         from edoras_tools.middleware.graph import usual, usual_domain
 
         ros, domain, more = self.graph
@@ -218,7 +217,7 @@ class SourceOptions(NamedTuple):
         if not self.reads_graph(words):
             inputs = InputOptions(FileOptions(words.files), LiveOptions(self.interface, self.listen))
             return open_input(inputs, decoding.settings(), messages=True)
-        from edoras_tools.addons.ros_verbs.source import open_source
+        from edoras_tools.addons.ros_verbs.endpoints import open_source
 
         return open_source(self.request(words.topics, qos), decoding.settings())
 
@@ -426,8 +425,7 @@ def _print_topics(words: Words, topics: Sequence[dict[str, Any]]) -> None:
 
 def _topics(words: Words, source: SourceOptions, decoding: options.DecodingOptions) -> list[dict[str, Any]]:
     """Return the topics of the input, with the known facts on publishers and subscriptions."""
-    from edoras_tools.addons.ros_verbs.endpoints import policies_text, recorded_policies
-    from edoras_tools.addons.ros_verbs.source import topics_of_graph
+    from edoras_tools.addons.ros_verbs.endpoints import policies_text, recorded_policies, topics_of_graph
 
     if source.reads_graph(words):
         return topics_of_graph(source.request(()), decoding.settings())
@@ -461,7 +459,7 @@ def observe(
     By publisher: messages, numbers, those missed, delay; and whose quality of service does not match.
     A recording is a witness for the doctor: doctor CAPTURE --bag FILE. Exit code 3: messages were missed.
     """
-    from edoras_tools.addons.ros_verbs.source import open_source
+    from edoras_tools.addons.ros_verbs.endpoints import open_source
     from edoras_tools.pipelines.capture.record import record
     from edoras_tools.pipelines.reading import Limits, reading
 
@@ -558,8 +556,8 @@ def play(
     """
     from edoras_tools.addons.ros_verbs import playing
     from edoras_tools.middleware.graph import open_graph, usual, usual_domain
-    from edoras_tools.pipelines.interrupt import Keys
     from edoras_tools.pipelines.messages import open_inputs
+    from edoras_tools.pipelines.reading import Keys
     from edoras_tools.render.capture.watch import Followed
     from edoras_tools.render.sending.status import send_status
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.middleware import Graph
     from edoras_tools.mission import Mission
-    from edoras_tools.pipelines.interrupt import Keys
+    from edoras_tools.pipelines.reading import Keys
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
 

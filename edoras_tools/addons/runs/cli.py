@@ -22,10 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from edoras_tools.addons.runs.against import BagComparison
-    from edoras_tools.addons.runs.check import CheckReport
+    from edoras_tools.addons.runs.check import CheckReport, Examined
     from edoras_tools.addons.runs.differences import DifferenceLimits
     from edoras_tools.addons.runs.expectations import Expectations
-    from edoras_tools.addons.runs.observation import Examined
     from edoras_tools.addons.runs.run import Run
     from edoras_tools.diagnosis.balance import Chain
     from edoras_tools.io import Source

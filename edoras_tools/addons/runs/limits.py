@@ -23,7 +23,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from edoras_tools.addons.runs.observation import Figures
+    from edoras_tools.addons.runs.check import Figures
     from edoras_tools.addons.runs.run import FieldValues
 
 _DIGITS: Final = 15

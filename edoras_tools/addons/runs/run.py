@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 import numpy as np
 
-from edoras_tools.addons.runs.observation import Examined, Figures, Parts, Subject, examine_or_count
+from edoras_tools.addons.runs.check import Examined, Figures, Parts, Subject, examine_or_count
 from edoras_tools.cfs import queues
-from edoras_tools.decode.contents import message_rows, read_whole
+from edoras_tools.decode.lines import message_rows, read_whole
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.diagnosis.advice import Arrivals, published_into
 from edoras_tools.errors import ConfigError

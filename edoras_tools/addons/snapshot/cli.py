@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from edoras_tools.addons.snapshot.sink import ask, listening, record_snapshots
 from edoras_tools.cli.output import finish, print_json, watcher
-from edoras_tools.pipelines.interrupt import Keys
+from edoras_tools.pipelines.reading import Keys
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

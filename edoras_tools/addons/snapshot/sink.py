@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.cli.record import SnapshotOptions
     from edoras_tools.decode.context import Context
-    from edoras_tools.pipelines.interrupt import Keys
+    from edoras_tools.pipelines.reading import Keys
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher

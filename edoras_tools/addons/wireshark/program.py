@@ -21,7 +21,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcapng import PcapngSink
 from edoras_tools.io.outputs import write_files
-from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.reading import on_interrupt
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -70,7 +70,7 @@ def open_file(path: str | Path, name: str = "") -> Source:
 
 
 def _open_folder(path: Path) -> Source:
-    from edoras_tools.io.formats.rosbag2.source import open_folder
+    from edoras_tools.io.formats.rosbag2.reader import open_folder
 
     source = open_folder(path, open_file)
     if source is None:

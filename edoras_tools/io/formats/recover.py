@@ -28,8 +28,7 @@ from edoras_tools.io.formats.mcap.file import MESSAGE_HEAD, RECORD_HEAD, McapFil
 from edoras_tools.io.formats.mcap.recover import read_again
 from edoras_tools.io.formats.mcap.recover import recover as recover_mcap
 from edoras_tools.io.formats.mcap.recover import verify as verify_mcap
-from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
-from edoras_tools.io.formats.mcap.recovery.records import FileBytes, walk
+from edoras_tools.io.formats.mcap.recovery.records import FileBytes, KnownTopics, walk
 from edoras_tools.io.formats.mcap.recovery.report import LostStretch, Recovery
 from edoras_tools.io.formats.open import unwrapped
 from edoras_tools.io.formats.pcap import MAGICS, PcapSource

@@ -4,7 +4,7 @@ A text is a template with the parts that all packets of a kind share, filled wit
 that differ. The rules:
 
 1. Both ways give the same bytes; ``tests/pipelines/capture/test_packet_json.py`` compares them.
-2. From columns come the packets that :mod:`edoras_tools.decode.contents` reads from columns, on links whose
+2. From columns come the packets that :mod:`edoras_tools.decode.lines` reads from columns, on links whose
    headers are fixed, in an envelope of a known format, with a message without lists inside lists.
 """
 
@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from edoras_tools.decode.contents import Contents, endpoints, links_of, message_rows, read_whole
 from edoras_tools.decode.filters.layers import slot_values
+from edoras_tools.decode.lines import Contents, endpoints, links_of, message_rows, read_whole
 from edoras_tools.decode.recorded import RECORDED_LAYER, recorded_topic
 from edoras_tools.decode.summary import Group, grouped_columns
 from edoras_tools.io.formats.columns import json_value, value_texts

@@ -20,10 +20,10 @@ from edoras_tools.cfs.commands import CALLS, ENABLE_OUTPUT, NAMED, Argument, arg
 from edoras_tools.cfs.telemetry_output import USUAL_LIMIT
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.io.net.sockets import own_address
+from edoras_tools.pipelines.sending.loop import enable_output
 from edoras_tools.pipelines.sending.options import LinkReceiver, Receiver, SendOptions
 from edoras_tools.pipelines.sending.replay import Encoder, routes_towards, sender_of
 from edoras_tools.pipelines.sending.run import Loaded
-from edoras_tools.pipelines.sending.wait_for import enable_output
 from edoras_tools.ros.types.library import PRIMITIVES, STRINGS, MessageField, Shape
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND

@@ -34,10 +34,18 @@ from edoras_tools.links.table import carrying, protocol
 from edoras_tools.model import NO_MSG_ID, Endpoint, Link, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.record import FLUSH_NS, Target, open_sink
 from edoras_tools.pipelines.recorder import PushedSource
-from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule, in_order
+from edoras_tools.pipelines.sending.loop import (
+    Sending,
+    SendReport,
+    SendSchedule,
+    conditions,
+    count_known,
+    in_order,
+    leaves_at_once,
+    only_enables,
+)
 from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions, check_allowed
 from edoras_tools.pipelines.sending.responses import AwaitedResults, Responses
-from edoras_tools.pipelines.sending.wait_for import conditions, count_known, leaves_at_once, only_enables
 from edoras_tools.sessions.sbn import CLIENT, PUBLIC_BRIDGE, TCP_CLIENT, SbnConnection
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
@@ -49,7 +57,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.net.transmit import Arrival, SendStatistics
     from edoras_tools.links.protocol import SendingSession
     from edoras_tools.mission import Mission
-    from edoras_tools.pipelines.interrupt import Keys
+    from edoras_tools.pipelines.reading import Keys
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.sessions.faults.kinds import Fault

@@ -5,7 +5,7 @@ from uuid import uuid4
 
 import pytest
 
-from edoras_tools.addons.dds.peers import (
+from edoras_tools.addons.dds.graph import (
     PRESENCE_TOPIC,
     PRESENCE_TYPE,
     Discovered,
@@ -87,7 +87,7 @@ def test_the_size_of_identifiers_is_that_of_the_others():
 
 
 def test_user_data_of_any_form_is_read(monkeypatch):
-    from edoras_tools.addons.dds import peers as module
+    from edoras_tools.addons.dds import graph as module
 
     monkeypatch.setattr(module, "Policy", SimpleNamespace(Userdata=SimpleNamespace))
     for data, told in [

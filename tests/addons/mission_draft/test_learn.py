@@ -7,7 +7,7 @@ from made_system import CONSTANTS, LIMITS, PORTS, STATE, TIME, lost, play, write
 from places import ROOT
 
 from edoras_tools.addons.lab.emulator import WireDatagram
-from edoras_tools.addons.lab.emulator.routes import mission_profile, routes_of
+from edoras_tools.addons.lab.emulator.cfs import mission_profile, routes_of
 from edoras_tools.addons.mission_draft.learn import learn_mission
 from edoras_tools.diagnosis import examination
 from edoras_tools.errors import CaptureError

@@ -24,7 +24,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.faults import compiler
-from edoras_tools.pipelines.interrupt import Keys
+from edoras_tools.pipelines.reading import Keys
 from edoras_tools.pipelines.workbench import Workbench
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import MILLISECOND, SECOND

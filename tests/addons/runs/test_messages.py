@@ -6,10 +6,9 @@ import pytest
 from others import write_bag, write_studio
 from rosbags.rosbag2 import StoragePlugin
 
-from edoras_tools.addons.runs.check import check
+from edoras_tools.addons.runs.check import NOT_OBSERVABLE, check
 from edoras_tools.addons.runs.draft import Draft
 from edoras_tools.addons.runs.expectations import load_expectations
-from edoras_tools.addons.runs.observation import NOT_OBSERVABLE
 from edoras_tools.addons.runs.run import Run
 from edoras_tools.errors import ConfigError
 from edoras_tools.pipelines.messages import open_inputs

@@ -16,7 +16,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
+from edoras_tools.io.formats.mcap.recovery.records import KnownTopics
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcapng import PcapngSink
 from edoras_tools.io.formats.recover import repair, repairable_as

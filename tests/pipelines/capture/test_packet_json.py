@@ -12,7 +12,7 @@ import pytest
 from effort import examples
 from places import CAPTURES
 
-from edoras_tools.decode import ColumnDecoder, Context, Dissector, contents
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, lines
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.bare import CI
@@ -37,8 +37,8 @@ def counted(monkeypatch, rows):
             seen[datagram.payload] += 1
             return super().dissect(datagram)
 
-    monkeypatch.setattr(contents, "Dissector", Counting)
-    monkeypatch.setattr(contents, "_FEW", 0)
+    monkeypatch.setattr(lines, "Dissector", Counting)
+    monkeypatch.setattr(lines, "_FEW", 0)
     return PacketTexts(rows.context).of(rows), seen
 
 

@@ -18,11 +18,19 @@ from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Mission
 from edoras_tools.model import Endpoint, Peer
-from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule, in_order
+from edoras_tools.pipelines.sending.loop import (
+    Condition,
+    Sending,
+    SendReport,
+    SendSchedule,
+    conditions,
+    count_known,
+    enable_output,
+    in_order,
+)
 from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions
 from edoras_tools.pipelines.sending.replay import ReplaySelection, load_datagrams
 from edoras_tools.pipelines.sending.responses import Responses
-from edoras_tools.pipelines.sending.wait_for import Condition, conditions, count_known, enable_output
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.outgoing import Changes, Outgoing, Packet, SequenceRule
 from edoras_tools.sessions.pacing import Pacing

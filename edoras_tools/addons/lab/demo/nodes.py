@@ -26,7 +26,7 @@ from msgspec.structs import replace
 from edoras_tools import doors
 from edoras_tools.addons.lab.emulator import MISSIONS, Scenario, WireDatagram
 from edoras_tools.addons.lab.emulator.bridges import Arm, Robot, Rover, operator_command
-from edoras_tools.addons.lab.emulator.routes import routes_of_kind
+from edoras_tools.addons.lab.emulator.cfs import routes_of_kind
 from edoras_tools.cfs.profile import Ports, SimProfile
 from edoras_tools.errors import WireError
 from edoras_tools.io.net.sockets import local_endpoint, open_bound

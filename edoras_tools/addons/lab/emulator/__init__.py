@@ -4,7 +4,7 @@
 >>> datagrams = list(simulation.run(until_ns=10_000_000_000))
 """
 
-from edoras_tools.addons.lab.emulator.routes import Scenario
+from edoras_tools.addons.lab.emulator.cfs import Scenario
 from edoras_tools.addons.lab.emulator.server import Served, serve
 from edoras_tools.addons.lab.emulator.simulation import BOOT_NS, MISSIONS, SCENARIOS, Simulation, WireDatagram
 

@@ -13,8 +13,7 @@ from edoras_tools.addons.lab.emulator.apps.generator import Generator
 from edoras_tools.addons.lab.emulator.apps.ground_apps import CommandIngest, TelemetryOutput
 from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnApp
 from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge, robot_of
-from edoras_tools.addons.lab.emulator.cfs import Cfs
-from edoras_tools.addons.lab.emulator.routes import DEMO_ROUTES, Scenario, SystemRoutes
+from edoras_tools.addons.lab.emulator.cfs import DEMO_ROUTES, Cfs, Scenario, SystemRoutes
 from edoras_tools.addons.lab.emulator.scheduler import Scheduler
 from edoras_tools.cfs import command_ingest, edoras_app, sbn, telemetry_output
 from edoras_tools.cfs.profile import SimProfile

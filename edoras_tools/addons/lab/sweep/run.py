@@ -14,10 +14,10 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.apps import generator
-from edoras_tools.addons.lab.emulator.routes import routes_of
+from edoras_tools.addons.lab.emulator.cfs import routes_of
 from edoras_tools.addons.lab.emulator.source import SimulatedWire
 from edoras_tools.addons.lab.sweep import plan as packets
-from edoras_tools.addons.lab.sweep.observer import COMMAND_NS, Line, Observer, reset_filters
+from edoras_tools.addons.lab.sweep.plan import COMMAND_NS, Line, Observer, reset_filters
 from edoras_tools.cfs import command_ingest, software_bus
 from edoras_tools.cfs.edoras_app import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
 from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
@@ -28,10 +28,10 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.net.transmit import Wire, precise_timing
 from edoras_tools.links.bare import TO
 from edoras_tools.links.table import carrying
-from edoras_tools.pipelines.interrupt import on_interrupt
+from edoras_tools.pipelines.reading import on_interrupt
+from edoras_tools.pipelines.sending.loop import Condition, conditions
 from edoras_tools.pipelines.sending.options import called
 from edoras_tools.pipelines.sending.run import open_wire
-from edoras_tools.pipelines.sending.wait_for import Condition, conditions
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.sessions.sbn import SbnConnection
 from edoras_tools.units import SECOND
@@ -40,8 +40,7 @@ from edoras_tools.wire import cfe, sbn
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from edoras_tools.addons.lab.sweep.observer import Mark
-    from edoras_tools.addons.lab.sweep.plan import SweepPlan
+    from edoras_tools.addons.lab.sweep.plan import Mark, SweepPlan
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.errors import EdorasError
     from edoras_tools.mission import Mission, Route

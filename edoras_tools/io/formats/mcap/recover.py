@@ -54,15 +54,17 @@ from edoras_tools.io.formats.mcap.file import (
     record_bytes,
 )
 from edoras_tools.io.formats.mcap.messages import chunk_content
-from edoras_tools.io.formats.mcap.recovery.numbering import (
+from edoras_tools.io.formats.mcap.recovery.records import (
     Definitions,
+    FileBytes,
     KnownTopics,
     Numbering,
     RecordId,
     Stretch,
+    Walked,
     renumbered,
+    walk,
 )
-from edoras_tools.io.formats.mcap.recovery.records import FileBytes, Walked, walk
 from edoras_tools.io.formats.mcap.recovery.report import (
     FilePart,
     FoundSummary,

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import MISSIONS
 
-from edoras_tools.addons.lab.sweep.observer import Mark, Observer
-from edoras_tools.addons.lab.sweep.plan import route_of
+from edoras_tools.addons.lab.sweep.plan import Mark, Observer, route_of
 from edoras_tools.addons.lab.sweep.run import Judge
 from edoras_tools.cfs import software_bus
 from edoras_tools.cfs.profile import SimProfile

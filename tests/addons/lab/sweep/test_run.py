@@ -15,8 +15,8 @@ from waiting import HOST, free_ports
 from edoras_tools.addons.lab.emulator import Served, Simulation
 from edoras_tools.addons.lab.sweep import plan as sweep_plan
 from edoras_tools.addons.lab.sweep import run as sweep_run
-from edoras_tools.addons.lab.sweep.observer import Observer
 from edoras_tools.addons.lab.sweep.plan import (
+    Observer,
     SweepPlan,
     command_receiver,
     echo,

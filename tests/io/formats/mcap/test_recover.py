@@ -20,7 +20,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap import chunks as mcap_chunks
 from edoras_tools.io.formats.mcap.file import record_bytes
 from edoras_tools.io.formats.mcap.recover import recover, verify
-from edoras_tools.io.formats.mcap.recovery.numbering import KnownTopics
+from edoras_tools.io.formats.mcap.recovery.records import KnownTopics
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.topics.messages import MAGIC
 from edoras_tools.io.topics.streams import OWN_TOPICS

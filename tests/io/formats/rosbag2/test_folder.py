@@ -8,7 +8,7 @@ from places import ROOT
 
 from edoras_tools.errors import CaptureError, NoDatagramsError
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.rosbag2.source import FolderSource
+from edoras_tools.io.formats.rosbag2.reader import FolderSource
 from edoras_tools.model import HostCounters
 from edoras_tools.pipelines.capture.record import Target, record
 from edoras_tools.pipelines.workbench import Settings

@@ -16,7 +16,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from edoras_tools.errors import CaptureError, NoDatagramsError
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.io.formats.rosbag2.source import MessageSource, NumberedTopics
+from edoras_tools.io.formats.rosbag2.reader import MessageSource, NumberedTopics
 
 BARE = dict.fromkeys(
     ("repeat_channels", "repeat_schemas", "use_statistics", "use_summary_offsets"), False

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from edoras_tools.addons.lab.emulator.bridges import Robot
-    from edoras_tools.addons.lab.emulator.cfs import Cfs
-    from edoras_tools.addons.lab.emulator.routes import SystemRoutes
+    from edoras_tools.addons.lab.emulator.cfs import Cfs, SystemRoutes
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.addons.lab.emulator.services.software_bus import Pipe
 

@@ -23,7 +23,7 @@ from edoras_tools.older import UTC
 from edoras_tools.wire.arrays import crc32
 
 if TYPE_CHECKING:
-    from edoras_tools.io.formats.mcap.recovery.numbering import Definitions
+    from edoras_tools.io.formats.mcap.recovery.records import Definitions
 
 _FOOTER: Final = re.compile(re.escape(b"\x02\x14" + bytes(7)))
 _DATA_END: Final = re.compile(re.escape(b"\x0f\x04" + bytes(7)))
