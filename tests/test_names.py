@@ -30,7 +30,7 @@ SAME = (
     ("emit", "wire/*", "written and read through the header's module: ccsds.emit, sbn.emit"),
     ("live_table", "render/* addons/*/views/*", "the view of a command while it runs"),
     ("outcome", "render/* addons/*/views/*", "the view of what a command did"),
-    ("plan", "render/* addons/*/views/*", "the view of what a command would do"),
+    ("plan", "render/*", "the view of what a command would do"),
     ("examine", "doctor.py pipelines/doctor/doctor.py", "the library's door to the same function"),
     ("predict", "doctor.py diagnosis/accounting/budget.py", "the library's door to the same function"),
 )

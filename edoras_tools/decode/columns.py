@@ -13,21 +13,11 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools import model
 from edoras_tools.cfs.software_bus import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.decode.variants import Variants
 from edoras_tools.links import table
-from edoras_tools.model import (
-    NO_MSG_ID,
-    NO_ROUTE,
-    OTHER,
-    UNKNOWABLE,
-    Columns,
-    Datagram,
-    Finding,
-    Link,
-    PacketBatch,
-)
 from edoras_tools.structs.bindings import payloads
 from edoras_tools.wire import arrays, ccsds, cfe
 from edoras_tools.wire.envelope import (
@@ -60,11 +50,11 @@ _BLANK: Final = {
     "spacecraft": FIRST_SPACECRAFT,
     "sbn_msg_type": -1,
     "packet_offset": -1,
-    "msg_id": NO_MSG_ID,
+    "msg_id": model.NO_MSG_ID,
     "function_code": -1,
     "mission_time_ns": -1,
     "cdr_offset": -1,
-    "route": NO_ROUTE,
+    "route": model.NO_ROUTE,
 }
 _PACKET_COLUMNS: Final = (
     "packet_offset",
@@ -113,7 +103,7 @@ class Begun(NamedTuple):
     link: arrays.Octets
     start: NDArray[np.int32]
     out: dict[str, NDArray[Any]]
-    part: PacketBatch | None = None
+    part: model.PacketBatch | None = None
 
 
 class ColumnDecoder:
@@ -126,13 +116,13 @@ class ColumnDecoder:
     def __init__(self, context: Context) -> None:
         self.context = context
         self._variants = Variants(context)
-        self._nothing = Columns(**blank_columns(0))
+        self._nothing = model.Columns(**blank_columns(0))
 
     def settle(self) -> None:
         """Detect nothing: headers and envelopes are the usual ones, or those of options and routes."""
         self._variants.settled = True
 
-    def decode(self, batch: PacketBatch) -> Columns:
+    def decode(self, batch: model.PacketBatch) -> model.Columns:
         """Read a batch; nothing in it can make this raise."""
         if not len(batch):  # live sources give many
             return self._nothing
@@ -142,7 +132,7 @@ class ColumnDecoder:
             return recorded_columns(batch, blank_columns(len(batch)), self.context)
         return self.finish(batch, self.begin(batch))
 
-    def begin(self, batch: PacketBatch) -> Begun:
+    def begin(self, batch: model.PacketBatch) -> Begun:
         """Decode the results that depend on earlier batches, of a batch with at least one row."""
         link = link_columns(batch, self.context)
         if not self._variants.settled:
@@ -156,7 +146,7 @@ class ColumnDecoder:
         read.out["spacecraft"] = self.context.spacecraft.column(part, read.out["link"], start)
         return Begun(link, start, read.out, part)
 
-    def finish(self, batch: PacketBatch, detected: Begun) -> Columns:
+    def finish(self, batch: model.PacketBatch, detected: Begun) -> model.Columns:
         """Decode the rest; ``detected`` is the result of ``begin``, possibly from another process."""
         link, start, out, part = detected
         rows = np.flatnonzero(link)
@@ -164,13 +154,13 @@ class ColumnDecoder:
             return _Pass(self.context, batch, out).finish(start)
         columns = _Pass(self.context, part or batch.take(rows), out).finish(start)
         whole = blank_columns(len(batch))
-        for name in Columns.__struct_fields__:
+        for name in model.Columns.__struct_fields__:
             whole[name][rows] = getattr(columns, name)
-        outside = link == OTHER
+        outside = link == model.OTHER
         whole["findings"][outside] = batch.capture_findings[outside]
-        return Columns(**whole)
+        return model.Columns(**whole)
 
-    def learn(self, batch: PacketBatch, columns: Columns | None = None) -> None:
+    def learn(self, batch: model.PacketBatch, columns: model.Columns | None = None) -> None:
         """Learn the announcements in a batch that is not decoded here.
 
         Args:
@@ -195,7 +185,7 @@ def blank_columns(count: int, leave_out: Collection[str] = ()) -> dict[str, NDAr
 class _Pass:
     """Reads the layers of one batch; every array has the batch's length."""
 
-    def __init__(self, context: Context, batch: PacketBatch, out: dict[str, NDArray[Any]]) -> None:
+    def __init__(self, context: Context, batch: model.PacketBatch, out: dict[str, NDArray[Any]]) -> None:
         self.context = context
         self.batch = batch
         self.out = out
@@ -216,20 +206,20 @@ class _Pass:
                 self.out["findings"][over] |= np.uint32(item.over_receive_buffer)
         return self.locate()
 
-    def finish(self, start: NDArray[np.int32]) -> Columns:
+    def finish(self, start: NDArray[np.int32]) -> model.Columns:
         """Read the space packets and their contents."""
         self.space_packet(start)
-        cut = (self.batch.capture_findings & np.uint32(Finding.CAPTURE_CUT)) != 0
+        cut = (self.batch.capture_findings & np.uint32(model.Finding.CAPTURE_CUT)) != 0
         if np.count_nonzero(cut):
-            self.out["findings"][cut] &= np.uint32(~UNKNOWABLE & 0xFFFFFFFF)
-        return Columns(**self.out)
+            self.out["findings"][cut] &= np.uint32(~model.UNKNOWABLE & 0xFFFFFFFF)
+        return model.Columns(**self.out)
 
-    def flag(self, finding: Finding, rows: arrays.Places, mask: arrays.Mask) -> None:
+    def flag(self, finding: model.Finding, rows: arrays.Places, mask: arrays.Mask) -> None:
         """Set a finding's bit in those of ``rows`` that a mask selects."""
         if np.count_nonzero(mask):  # a third of the time of ``any``
             self.out["findings"][rows[mask]] |= np.uint32(finding)
 
-    def mark(self, finding: Finding, mask: arrays.Mask) -> None:
+    def mark(self, finding: model.Finding, mask: arrays.Mask) -> None:
         """Set a finding's bit in the rows of a mask over the whole batch."""
         if np.count_nonzero(mask):
             self.out["findings"] |= mask * np.uint32(finding)
@@ -254,7 +244,7 @@ class _Pass:
         """Judge whether a link's samples are whole messages of their types."""
         context = self.context
         for item in link.sample_reader().known_samples(context.types, context.endpoints, self.batch, rows):
-            self.flag(Finding.CDR_INVALID, item.row, ~item.valid)
+            self.flag(model.Finding.CDR_INVALID, item.row, ~item.valid)
 
     def space_packet(self, start: NDArray[np.int32]) -> None:
         """Read the primary header and everything behind it.
@@ -264,7 +254,7 @@ class _Pass:
         length = self.batch.length - start
         packet = (start >= 0) & (length >= ccsds.PRIMARY.size)
         absent = np.flatnonzero(~packet)
-        self.flag(Finding.TRUNCATED, absent, start[absent] >= 0)
+        self.flag(model.Finding.TRUNCATED, absent, start[absent] >= 0)
         start[absent], length[absent] = 0, 0
         offset = self.batch.offset + start
         head = arrays.gather(self.batch.data, offset, _PACKET_WINDOW)
@@ -279,12 +269,12 @@ class _Pass:
         against = self.context.against.take(command.view(np.uint8).astype(np.uint16) << 8 | link)
         row = self.context.route_row.take(link).astype(np.int32)
         routed = self.context.route_of.take((row << 16) + msg_id)
-        self.mark(Finding.LENGTH_MISMATCH, packet & (total != length))
-        self.mark(Finding.SEQUENCE_UNSET, packet & (sequence == 0))
-        self.mark(Finding.OVER_SOFTWARE_BUS, packet & (total > SOFTWARE_BUS_MAXIMUM))
-        self.mark(Finding.INVALID_MSG_ID, packet & ~valid)
-        self.mark(Finding.UNKNOWN_MSG_ID, packet & valid & ~self.context.known.take(msg_id))
-        self.mark(Finding.WRONG_DIRECTION, packet & against)
+        self.mark(model.Finding.LENGTH_MISMATCH, packet & (total != length))
+        self.mark(model.Finding.SEQUENCE_UNSET, packet & (sequence == 0))
+        self.mark(model.Finding.OVER_SOFTWARE_BUS, packet & (total > SOFTWARE_BUS_MAXIMUM))
+        self.mark(model.Finding.INVALID_MSG_ID, packet & ~valid)
+        self.mark(model.Finding.UNKNOWN_MSG_ID, packet & valid & ~self.context.known.take(msg_id))
+        self.mark(model.Finding.WRONG_DIRECTION, packet & against)
         self.out |= {
             "packet_offset": offset,
             "packet_length": length,
@@ -326,8 +316,8 @@ class _Pass:
         short = command | bare
         header = np.where(short, as_command, as_telemetry)
         whole = length >= header
-        self.mark(Finding.HEADER_ONLY, packet & bare)
-        self.mark(Finding.TRUNCATED, packet & ~whole)
+        self.mark(model.Finding.HEADER_ONLY, packet & bare)
+        self.mark(model.Finding.TRUNCATED, packet & ~whole)
         self.out["header_length"] = np.where(whole, header, np.uint8(ccsds.PRIMARY.size))
 
         layout = self.context.in_order(cfe.TELEMETRY)
@@ -340,15 +330,15 @@ class _Pass:
         length, total, present = length[rows], total[rows], head[rows, at + 1] != 0
         summed = arrays.xor_bytes(self.batch.data, self.out["packet_offset"][rows], np.minimum(length, total))
         bad = summed != cfe.CHECKSUM_SEED
-        self.flag(Finding.CHECKSUM_BAD, rows, bad & present)
-        self.flag(Finding.CHECKSUM_ABSENT, rows, bad & ~present)
+        self.flag(model.Finding.CHECKSUM_BAD, rows, bad & present)
+        self.flag(model.Finding.CHECKSUM_ABSENT, rows, bad & ~present)
         unknown, misfit = self.context.command_table.judge(
             self.out["msg_id"][rows],
             code[rows],
             length - np.broadcast_to(as_command, short.shape)[rows] + cfe.COMMAND_HEADER_BYTES,
         )
-        self.flag(Finding.UNKNOWN_FUNCTION_CODE, rows, unknown)
-        self.flag(Finding.COMMAND_LENGTH, rows, misfit)
+        self.flag(model.Finding.UNKNOWN_FUNCTION_CODE, rows, unknown)
+        self.flag(model.Finding.COMMAND_LENGTH, rows, misfit)
 
     def _units(self, link: LinkProtocol) -> None:
         """Judge the protocol units in packets, for one link."""
@@ -365,25 +355,25 @@ class _Pass:
         for _, members, fits in structs.split(samples):
             if not fits.all():  # a command of a wrong length is flagged already
                 rows = members.row[~fits]
-                flagged = (self.out["findings"][rows] & np.uint32(Finding.COMMAND_LENGTH)) != 0
-                self.flag(Finding.STRUCT_LENGTH, rows, ~flagged)
+                flagged = (self.out["findings"][rows] & np.uint32(model.Finding.COMMAND_LENGTH)) != 0
+                self.flag(model.Finding.STRUCT_LENGTH, rows, ~flagged)
         if structs.dictionary is not None:
-            self.flag(Finding.UNKNOWN_MSG_ID, samples.row, samples.key == structs.dictionary.unknown)
-            self.flag(Finding.LENGTH_MISMATCH, samples.row, samples.key == structs.dictionary.odd)
+            self.flag(model.Finding.UNKNOWN_MSG_ID, samples.row, samples.key == structs.dictionary.unknown)
+            self.flag(model.Finding.LENGTH_MISMATCH, samples.row, samples.key == structs.dictionary.odd)
 
     def _envelopes(self, packet: arrays.Mask) -> None:
         """Read the envelopes of the routes' packets, one route at a time."""
         exact = self.out["route"]
-        route = np.where(exact == NO_ROUTE, self.context.any_route_of[self.out["msg_id"]], exact)
-        unread = np.uint32(Finding.HEADER_ONLY | Finding.TRUNCATED)
-        rows = np.flatnonzero(packet & (route != NO_ROUTE) & ((self.out["findings"] & unread) == 0))
+        route = np.where(exact == model.NO_ROUTE, self.context.any_route_of[self.out["msg_id"]], exact)
+        unread = np.uint32(model.Finding.HEADER_ONLY | model.Finding.TRUNCATED)
+        rows = np.flatnonzero(packet & (route != model.NO_ROUTE) & ((self.out["findings"] & unread) == 0))
         route = route[rows]
         bare = self.out["packet_length"][rows] == self.out["header_length"][rows]
         if bare.any():
-            mismatched = (self.out["findings"][rows] & np.uint32(Finding.LENGTH_MISMATCH)) != 0
+            mismatched = (self.out["findings"][rows] & np.uint32(model.Finding.LENGTH_MISMATCH)) != 0
             quiet = self.out["function_code"][rows] == 0
-            self.flag(Finding.HEADER_ONLY, rows, bare & ~quiet & ~mismatched)
-            self.flag(Finding.TRUNCATED, rows, bare & mismatched)
+            self.flag(model.Finding.HEADER_ONLY, rows, bare & ~quiet & ~mismatched)
+            self.flag(model.Finding.TRUNCATED, rows, bare & mismatched)
             rows, route = rows[~bare], route[~bare]
         for index, picked in arrays.by_value(route):
             self._envelope(index, rows[picked])
@@ -423,13 +413,13 @@ class _Pass:
         """
         size = envelope.size
         whole = have >= size
-        self.flag(Finding.TRUNCATED, rows, ~whole)
+        self.flag(model.Finding.TRUNCATED, rows, ~whole)
         claimed = envelope.layout.column("buffer_length", head).astype(np.uint64)
         capacity = capacity_column(envelope, head, claimed)
         space = np.maximum(have - size - envelope.crc, 0).astype(np.uint64)
         over = claimed > space
-        self.flag(Finding.ENVELOPE_OVERRUN, rows, whole & (over | (capacity < claimed)))
-        self.flag(Finding.CDR_INVALID, rows, whole & ~over & (claimed < 4))
+        self.flag(model.Finding.ENVELOPE_OVERRUN, rows, whole & (over | (capacity < claimed)))
+        self.flag(model.Finding.CDR_INVALID, rows, whole & ~over & (claimed < 4))
         read = whole & ~over & (claimed >= 4)
         if not read.all():
             rows, offset, head = rows[read], offset[read], head[read]
@@ -446,20 +436,22 @@ class _Pass:
             valid = plain & (trailing >= 0)
             if (more := trailing > ROUNDED).any():
                 over = trailing > types.most_trailing(name)
-                self.flag(Finding.CDR_TRAILING, rows, more & ~over)
-                self.flag(Finding.CDR_TOO_LONG, rows, over)
-        self.flag(Finding.CDR_INVALID, rows, ~valid)
-        self.flag(Finding.CDR_BIG_ENDIAN, rows, plain & (head[:, size + 1] == 0))
+                self.flag(model.Finding.CDR_TRAILING, rows, more & ~over)
+                self.flag(model.Finding.CDR_TOO_LONG, rows, over)
+        self.flag(model.Finding.CDR_INVALID, rows, ~valid)
+        self.flag(model.Finding.CDR_BIG_ENDIAN, rows, plain & (head[:, size + 1] == 0))
         if envelope.crc:
-            self.flag(Finding.CHECKSUM_BAD, rows, ~intact_rows(self.batch.data, start, length, envelope))
+            self.flag(
+                model.Finding.CHECKSUM_BAD, rows, ~intact_rows(self.batch.data, start, length, envelope)
+            )
         stale = arrays.any_nonzero(self.batch.data, offset + length + envelope.crc, space - length)
-        self.flag(Finding.STALE_TAIL, rows, stale)
+        self.flag(model.Finding.STALE_TAIL, rows, stale)
 
 
 class _Datagram:
     """One datagram as a :class:`~edoras_tools.links.protocol.Seen`."""
 
-    def __init__(self, datagram: Datagram, context: Context) -> None:
+    def __init__(self, datagram: model.Datagram, context: Context) -> None:
         self._payload = datagram.payload
         self._have = len(datagram.payload)
         # Bytes that the capture cut off count.
@@ -482,7 +474,7 @@ class _Datagram:
 class _Rows:
     """Some datagrams of a batch as a :class:`~edoras_tools.links.protocol.Seen`; each number is an array."""
 
-    def __init__(self, batch: PacketBatch, rows: arrays.Places, context: Context) -> None:
+    def __init__(self, batch: model.PacketBatch, rows: arrays.Places, context: Context) -> None:
         self._batch, self._rows, self._context = batch, rows, context
         self._fields: dict[tuple[str, str, int], NDArray[Any]] = {}
         self._have = batch.length[rows]
@@ -526,7 +518,7 @@ class _Rows:
         return np.where(absent, -1, values.astype(np.int64)) if some else values
 
 
-def link_columns(batch: PacketBatch, context: Context) -> arrays.Octets:
+def link_columns(batch: model.PacketBatch, context: Context) -> arrays.Octets:
     """Return the link of every datagram of a batch, u8 (n,); fragments without a payload have none."""
     claim = context.claim.take(batch.destination_port)
     link = context.decided.take(claim)
@@ -547,17 +539,17 @@ def link_columns(batch: PacketBatch, context: Context) -> arrays.Octets:
         unlinked = np.flatnonzero(link == 0)
         link[unlinked] = context.by_sender[context.claim[batch.source_port[unlinked]]]
     for item in context.by_magic:
-        link[beginning(batch, np.flatnonzero(link == OTHER), item.magic)] = item
+        link[beginning(batch, np.flatnonzero(link == model.OTHER), item.magic)] = item
     if batch.streams is not None:
         _stream_links(batch, context, link)
-    link[(batch.capture_findings & Finding.FRAGMENT) != 0] = OTHER
+    link[(batch.capture_findings & model.Finding.FRAGMENT) != 0] = model.OTHER
     if context.frames:
         for item in context.links:
             link[item.claimed(batch, context)] = item
     return link
 
 
-def beginning(batch: PacketBatch, rows: arrays.Places, magic: bytes) -> arrays.Places:
+def beginning(batch: model.PacketBatch, rows: arrays.Places, magic: bytes) -> arrays.Places:
     """Return those of some rows of a batch whose payloads begin with a magic number."""
     rows = rows[batch.length[rows] >= len(magic)]
     rows = rows[batch.data[batch.offset[rows]] == magic[0]]
@@ -567,7 +559,7 @@ def beginning(batch: PacketBatch, rows: arrays.Places, magic: bytes) -> arrays.P
     return rows
 
 
-def _stream_links(batch: PacketBatch, context: Context, link: arrays.Octets) -> None:
+def _stream_links(batch: model.PacketBatch, context: Context, link: arrays.Octets) -> None:
     """Set the link of TCP messages: by the port of either end, then by content if the link needs that."""
     assert batch.streams is not None
     streams = np.flatnonzero(batch.streams)
@@ -577,23 +569,23 @@ def _stream_links(batch: PacketBatch, context: Context, link: arrays.Octets) -> 
     for item in context.links:
         if item.transport.tcp and not item.port_decides and len(rows := streams[claimed == item]):
             sure = np.broadcast_to(np.asarray(item.recognise(_Rows(batch, rows, context))), len(rows))
-            link[rows[sure == 0]] = OTHER
+            link[rows[sure == 0]] = model.OTHER
 
 
-def _stream_link(datagram: Datagram, context: Context) -> Link:
+def _stream_link(datagram: model.Datagram, context: Context) -> model.Link:
     """Return the link of one message of a TCP stream: the same answer as ``_stream_links``."""
     claimed = context.stream_links[datagram.destination.port] or context.stream_links[datagram.source.port]
     link = table.link(int(claimed))
-    if link is OTHER:
+    if link is model.OTHER:
         return link
     item = table.protocol(link)
-    return link if item.port_decides or item.recognise(_Datagram(datagram, context)) else OTHER
+    return link if item.port_decides or item.recognise(_Datagram(datagram, context)) else model.OTHER
 
 
-def link_of(datagram: Datagram, context: Context) -> Link:
+def link_of(datagram: model.Datagram, context: Context) -> model.Link:
     """Return the link of one datagram: the same answer as :func:`link_columns`."""
-    if Finding.FRAGMENT in datagram.findings:
-        return OTHER
+    if model.Finding.FRAGMENT in datagram.findings:
+        return model.OTHER
     for item in context.links if context.frames else ():
         if item.claims(datagram, context):
             return item
@@ -601,16 +593,18 @@ def link_of(datagram: Datagram, context: Context) -> Link:
         return _stream_link(datagram, context)
     claim = context.claim[datagram.destination.port]
     link, best = table.link(context.decided[claim]), 0
-    if link is OTHER and context.claimants[claim]:
+    if link is model.OTHER and context.claimants[claim]:
         facts = _Datagram(datagram, context)
         for item in context.claimants[claim]:
             sure = int(item.recognise(facts))
             if sure and sure >= best:
                 link, best = item, sure
-    if link is OTHER and datagram.original_length < 0:
+    if link is model.OTHER and datagram.original_length < 0:
         link = table.link(context.framed_links[datagram.source.port])
-    if link is OTHER:
+    if link is model.OTHER:
         link = table.link(context.by_sender[context.claim[datagram.source.port]])
-    if link is OTHER:
-        link = next((item for item in context.by_magic if datagram.payload.startswith(item.magic)), OTHER)
+    if link is model.OTHER:
+        link = next(
+            (item for item in context.by_magic if datagram.payload.startswith(item.magic)), model.OTHER
+        )
     return link

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
+from edoras_tools import model
 from edoras_tools.cfs.software_bus import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.columns import link_of
 from edoras_tools.decode.recorded import dissect_recorded
@@ -18,18 +19,6 @@ from edoras_tools.decode.summary import summarise
 from edoras_tools.errors import EdorasError, TruncatedError, WireError
 from edoras_tools.links.doors import Endpoints, Peers, Reading
 from edoras_tools.links.table import protocol
-from edoras_tools.model import (
-    NO_ROUTE,
-    OTHER,
-    UNKNOWABLE,
-    Datagram,
-    Decoded,
-    Finding,
-    Layer,
-    LayerField,
-    Link,
-    RosMessage,
-)
 from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.envelope import CDR_BE, CDR_LE, DEFAULT, ENCAPSULATION, ROUNDED, detect
@@ -51,29 +40,29 @@ class Dissector:
         self.context = context
         self.detail = detail
 
-    def dissect(self, datagram: Datagram) -> Decoded:
+    def dissect(self, datagram: model.Datagram) -> model.Decoded:
         """Read one datagram; nothing in it can make this raise."""
-        if datagram.topic != NO_ROUTE:
+        if datagram.topic != model.NO_ROUTE:
             return dissect_recorded(datagram, self.context, detail=self.detail)
         link = link_of(datagram, self.context)
         context = self.context.of(self.context.spacecraft.of(datagram, link))
         work = _Dissection(context, datagram, link, detail=self.detail)
         stop: EdorasError | None = None
-        if link is not OTHER:
+        if link is not model.OTHER:
             try:
                 work.run()
             except WireError as error:
                 stop = error
         findings = work.findings
-        if Finding.CAPTURE_CUT in findings:
-            findings &= ~UNKNOWABLE
-        decoded = Decoded(
+        if model.Finding.CAPTURE_CUT in findings:
+            findings &= ~model.UNKNOWABLE
+        decoded = model.Decoded(
             datagram, link, tuple(work.layers), findings, work.message, stop, more=tuple(work.more)
         )
         decoded = summarise(decoded, self.context.msg_ids)
         return replace(decoded, summary=self._with_quote(decoded)) if link.quotes else decoded
 
-    def _with_quote(self, decoded: Decoded) -> str:
+    def _with_quote(self, decoded: model.Decoded) -> str:
         """Return the summary of a message, with a description of the datagram that it quotes."""
         quoted = protocol(decoded.link).quoted(decoded.datagram)
         context = copy(self.context)
@@ -84,20 +73,20 @@ class Dissector:
             text = packet.fields[0].text
         else:
             text = inside.summary if quoted.payload else f"{quoted.original_length} bytes"
-        name = "" if inside.link is OTHER else f"{inside.link.name} "
+        name = "" if inside.link is model.OTHER else f"{inside.link.name} "
         return f"{decoded.summary}: {quoted.destination} did not get {name}{text}"
 
 
 class _Dissection(Reading):
     """The state of one dissection: the layers so far."""
 
-    def __init__(self, context: Context, datagram: Datagram, link: Link, *, detail: bool) -> None:
+    def __init__(self, context: Context, datagram: model.Datagram, link: model.Link, *, detail: bool) -> None:
         super().__init__(datagram)
         self.context = context
         self.link = link
         self.detail = detail
-        self.message: RosMessage | None = None
-        self.more: list[RosMessage] = []
+        self.message: model.RosMessage | None = None
+        self.more: list[model.RosMessage] = []
         self.headers = context.headers
 
     def run(self) -> None:
@@ -128,7 +117,7 @@ class _Dissection(Reading):
             ccsds.PRIMARY,
             start,
             extra=(
-                LayerField(
+                model.LayerField(
                     "msg_id",
                     msg_id,
                     start,
@@ -141,23 +130,23 @@ class _Dissection(Reading):
         total = cfe.length_of(packet)
         command = msg_ids.is_command(msg_id)
         if total != length:
-            self.findings |= Finding.LENGTH_MISMATCH
+            self.findings |= model.Finding.LENGTH_MISMATCH
         if data[start + 2 : start + 4] == b"\0\0":
-            self.findings |= Finding.SEQUENCE_UNSET
+            self.findings |= model.Finding.SEQUENCE_UNSET
         if total > SOFTWARE_BUS_MAXIMUM:
-            self.findings |= Finding.OVER_SOFTWARE_BUS
+            self.findings |= model.Finding.OVER_SOFTWARE_BUS
         if not 0 < msg_id <= cfe.HIGHEST_MSG_ID:
-            self.findings |= Finding.INVALID_MSG_ID
+            self.findings |= model.Finding.INVALID_MSG_ID
         elif not self.context.known[msg_id]:
-            self.findings |= Finding.UNKNOWN_MSG_ID
+            self.findings |= model.Finding.UNKNOWN_MSG_ID
         if self.context.against[int(command), self.link]:
-            self.findings |= Finding.WRONG_DIRECTION
+            self.findings |= model.Finding.WRONG_DIRECTION
 
         as_command = headers.command_bytes
         bare = not command and length == as_command == total and as_command < headers.telemetry_bytes
         header = as_command if command or bare else headers.telemetry_bytes
         if bare:
-            self.findings |= Finding.HEADER_ONLY
+            self.findings |= model.Finding.HEADER_ONLY
         if headers.extended and length >= headers.start:
             self.read(cfe.EXTENDED, start + ccsds.PRIMARY.size)
         if length < header:
@@ -182,15 +171,15 @@ class _Dissection(Reading):
         packet = self.data[start : start + length]
         if cfe.checksum(packet) != 0:
             absent = self.data[start + self.headers.start + 1] == 0
-            self.findings |= Finding.CHECKSUM_ABSENT if absent else Finding.CHECKSUM_BAD
+            self.findings |= model.Finding.CHECKSUM_ABSENT if absent else model.Finding.CHECKSUM_BAD
         commands = self.context.commands(msg_id)
         if commands is None:
             return
         command = commands.get(code)
         if command is None:
-            self.findings |= Finding.UNKNOWN_FUNCTION_CODE
+            self.findings |= model.Finding.UNKNOWN_FUNCTION_CODE
         elif command.lengths and self._as_standard(len(self.data) - start) not in command.lengths:
-            self.findings |= Finding.COMMAND_LENGTH
+            self.findings |= model.Finding.COMMAND_LENGTH
 
     def _as_standard(self, length: int) -> int:
         """Return the length that a command has with the usual header."""
@@ -204,8 +193,8 @@ class _Dissection(Reading):
                 link.read_unit(self, at)
             return
         exact = int(self.context.routes_on(self.link)[msg_id])
-        route = exact if exact != NO_ROUTE else int(self.context.any_route_of[msg_id])
-        if route == NO_ROUTE:
+        route = exact if exact != model.NO_ROUTE else int(self.context.any_route_of[msg_id])
+        if route == model.NO_ROUTE:
             for standard, layout in (
                 (cfe.EVENT_MSG_ID, cfe.EVENT),
                 (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING),
@@ -215,10 +204,10 @@ class _Dissection(Reading):
             self._packet_struct(msg_id, start, header, code)
             return
         if length == header:
-            if Finding.LENGTH_MISMATCH in self.findings:
+            if model.Finding.LENGTH_MISMATCH in self.findings:
                 self.truncated("edoras", at, 1)
             if code != 0:
-                self.findings |= Finding.HEADER_ONLY
+                self.findings |= model.Finding.HEADER_ONLY
             return
         self._envelope(route, at)
 
@@ -236,20 +225,20 @@ class _Dissection(Reading):
         if bound is None:
             return
         if not bound.fits(length):
-            if Finding.COMMAND_LENGTH not in self.findings:  # that finding is enough
-                self.findings |= Finding.STRUCT_LENGTH
+            if model.Finding.COMMAND_LENGTH not in self.findings:  # that finding is enough
+                self.findings |= model.Finding.STRUCT_LENGTH
             return
         cdr = bound.encode_one(self.data[at:], origin)
         values = self.context.structs.types.decode(bound.type, cdr)
-        self.message = RosMessage(bound.type, bound.topic, values, cdr, bound.shipped)
+        self.message = model.RosMessage(bound.type, bound.topic, values, cdr, bound.shipped)
         dissected = bound.shipped and any(layer.name in OWN_LAYERS for layer in self.layers)
         if self.detail and not dissected:
             fields = tuple(
-                LayerField(path, value, at + low, at + high, bound.text(member, value), member.doc)
+                model.LayerField(path, value, at + low, at + high, bound.text(member, value), member.doc)
                 for path, value, low, high, member in bound.spans(values, length)
             )
             title = f"{bound.name}: {bound.struct.doc}" if bound.struct.doc else bound.name
-            self.layers.append(Layer("cfs", title, at, len(self.data), fields))
+            self.layers.append(model.Layer("cfs", title, at, len(self.data), fields))
 
     def described(self, kind: int, at: int, end: int) -> bool:
         """Read the content of a packet by a dictionary; see :meth:`Reading.described`."""
@@ -266,20 +255,22 @@ class _Dissection(Reading):
         try:
             values = types.decode(type_name, self.data[at:end])
         except WireError:
-            self.findings |= Finding.CDR_INVALID
+            self.findings |= model.Finding.CDR_INVALID
             return
         cdr = self.data[at : at + types.extent(type_name, self.data[at:end])]
-        self.add(RosMessage(type_name, topic, values, cdr))
+        self.add(model.RosMessage(type_name, topic, values, cdr))
         self._detail(types, type_name, cdr, at, end)
 
     def _detail(self, types: TypeStore, name: str, cdr: bytes, at: int, end: int) -> None:
         """Add a layer with the fields of a message that begins at a byte, if details are requested."""
         if self.detail:
             spans = types.spans(name, cdr)
-            fields = tuple(LayerField(path, value, at + low, at + high) for path, value, low, high in spans)
-            self.layers.append(Layer("ros", name, at + ENCAPSULATION.size, end, fields))
+            fields = tuple(
+                model.LayerField(path, value, at + low, at + high) for path, value, low, high in spans
+            )
+            self.layers.append(model.Layer("ros", name, at + ENCAPSULATION.size, end, fields))
 
-    def add(self, message: RosMessage, *layers: Layer) -> None:
+    def add(self, message: model.RosMessage, *layers: model.Layer) -> None:
         """Add a message after those read before; see :meth:`Reading.add`."""
         self.layers += layers
         if self.message is None:
@@ -293,25 +284,25 @@ class _Dissection(Reading):
         start, claimed = at + envelope.size, values["buffer_length"]
         space = max(0, len(self.data) - start - envelope.crc)
         if claimed > space or values.get("buffer_capacity", claimed) < claimed:
-            self.findings |= Finding.ENVELOPE_OVERRUN
+            self.findings |= model.Finding.ENVELOPE_OVERRUN
         if claimed > space:
             raise TruncatedError("cdr", start, claimed, space)
         if claimed < ENCAPSULATION.size:
-            self.findings |= Finding.CDR_INVALID
+            self.findings |= model.Finding.CDR_INVALID
             raise TruncatedError("cdr", start, ENCAPSULATION.size, claimed)
         end = start + claimed
         if not envelope.intact(self.data, at, claimed):
-            self.findings |= Finding.CHECKSUM_BAD
+            self.findings |= model.Finding.CHECKSUM_BAD
         rest = end + envelope.crc
         if any(self.data[rest:]):
-            self.findings |= Finding.STALE_TAIL
+            self.findings |= model.Finding.STALE_TAIL
         representation = self.read(ENCAPSULATION, start)["representation"]
         if representation == CDR_BE:
-            self.findings |= Finding.CDR_BIG_ENDIAN
+            self.findings |= model.Finding.CDR_BIG_ENDIAN
         try:
             self._body(route, start, end, representation)
         except WireError:
-            self.findings |= Finding.CDR_INVALID
+            self.findings |= model.Finding.CDR_INVALID
             raise
         finally:
             if envelope.trailer is not None:
@@ -328,19 +319,19 @@ class _Dissection(Reading):
         if types is None or not types.has(name):
             return
         cdr = self.data[start:end]
-        self.message = RosMessage(name, topic, types.decode(name, cdr), cdr)
+        self.message = model.RosMessage(name, topic, types.decode(name, cdr), cdr)
         trailing = len(cdr) - types.extent(name, cdr)
         if trailing > types.most_trailing(name):
-            self.findings |= Finding.CDR_TOO_LONG
+            self.findings |= model.Finding.CDR_TOO_LONG
         elif trailing > ROUNDED:
-            self.findings |= Finding.CDR_TRAILING
+            self.findings |= model.Finding.CDR_TRAILING
         self._detail(types, name, cdr, start, end)
 
     def _padding(self, start: int) -> None:
         tail = self.data[start:]
         doc = "after the CDR: the flight app sends a struct of fixed size"
-        field = LayerField("length", len(tail), start, len(self.data), f"{len(tail)} bytes", doc)
+        field = model.LayerField("length", len(tail), start, len(self.data), f"{len(tail)} bytes", doc)
         stale = any(tail)
         text = "yes: bytes of an earlier, longer message" if stale else "no: zeros"
-        fields = (field, LayerField("stale", stale, start, len(self.data), text))
-        self.layers.append(Layer("padding", "Padding", start, len(self.data), fields))
+        fields = (field, model.LayerField("stale", stale, start, len(self.data), text))
+        self.layers.append(model.Layer("padding", "Padding", start, len(self.data), fields))

@@ -413,6 +413,13 @@ _ROUTE: Final = (
     ("name", "text", "cFE's name of the packet"),
     _SPACECRAFT,
 )
+_FATES: Final = (
+    ("lost", "int", "of all causes"),
+    ("superseded", "int", "gave way to a newer one"),
+    ("waiting", "int", "may be on their way still"),
+    ("not_captured", "int", "could not be followed"),
+    ("unaccounted", "int", "missing without a cause"),
+)
 _SENDERS: Final = (
     ("sender", "text", "address and port"),
     ("receiver", "text", "address and port"),
@@ -516,11 +523,7 @@ _OUTCOMES: Final = _table(
     "what became of the messages of a route: the sums of its rows in `balance`",
     *_ROUTE,
     ("sent", "int", "went into the first hop"),
-    ("lost", "int", "of all causes"),
-    ("superseded", "int", "gave way to a newer one"),
-    ("waiting", "int", "may be on their way still"),
-    ("not_captured", "int", "could not be followed"),
-    ("unaccounted", "int", "missing without a cause"),
+    *_FATES,
 )
 _BALANCE: Final = _table(
     "balance",
@@ -532,11 +535,7 @@ _BALANCE: Final = _table(
     ("came_in", "int", "went in"),
     ("duplicated", "int", "came out more than once"),
     ("came_out", "int", "came out"),
-    ("lost", "int", "of all causes"),
-    ("superseded", "int", "gave way to a newer one"),
-    ("waiting", "int", "may be on their way still"),
-    ("not_captured", "int", "could not be followed"),
-    ("unaccounted", "int", "missing without a cause"),
+    *_FATES,
 )
 _LOSSES: Final = _table(
     "losses",

@@ -18,20 +18,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from edoras_tools import __version__
-from edoras_tools.addons.codegen.plan import (
-    SEQUENCES_DEFAULT,
-    STRINGS_DEFAULT,
-    Bounds,
-    CLibrary,
-    CMember,
-    Message,
-    c_type_name,
-    comment,
-    constant_name,
-    literal,
-    plan_messages,
-    utf16,
-)
+from edoras_tools.addons.codegen import plan
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.mission import Mission, Route
 from edoras_tools.ros.store import USUAL_DISTRO
@@ -50,7 +37,7 @@ LINE_WIDTH: Final = 110
 _PIECE: Final = re.compile(r".+?(?:, |$)")
 
 
-def banner(command: str, about: str = "", messages: Sequence[Message] = ()) -> str:
+def banner(command: str, about: str = "", messages: Sequence[plan.Message] = ()) -> str:
     """Return the comment on top of a file.
 
     Args:
@@ -64,7 +51,7 @@ def banner(command: str, about: str = "", messages: Sequence[Message] = ()) -> s
         widest = max(len(item.ros_name) for item in messages)
         lines += ["", "Definitions, and the start of the SHA-256 of each:", ""]
         lines += [f"    {item.ros_name:{widest}}  {item.fingerprint}" for item in messages]
-    first, *rest = (comment(line) for line in lines)
+    first, *rest = (plan.comment(line) for line in lines)
     return "".join([f"/* {first}\n", *(f" * {line}".rstrip() + "\n" for line in rest), " */\n"])
 
 
@@ -127,7 +114,7 @@ def header_name(package: str) -> str:
     return f"edoras_msgs/{package}.h"
 
 
-def package_header(library: CLibrary, package: str, command: str) -> str:
+def package_header(library: plan.CLibrary, package: str, command: str) -> str:
     """Return the text of a package's header."""
     messages = library.of(package)
     includes = ["edoras_core/cdr.h", *(header_name(item) for item in library.uses(package))]
@@ -136,7 +123,7 @@ def package_header(library: CLibrary, package: str, command: str) -> str:
     return banner(command, f"The messages of {package}.", messages) + guarded(header_name(package), body)
 
 
-def umbrella(library: CLibrary, command: str) -> str:
+def umbrella(library: plan.CLibrary, command: str) -> str:
     """Return the text of the header that includes all others."""
     includes = "".join(f'#include "{header_name(package)}"\n' for package in library.packages)
     return banner(command, "Every message.") + guarded(
@@ -156,12 +143,12 @@ def heads(name: str) -> dict[str, str]:
     }
 
 
-def _message(message: Message) -> str:
+def _message(message: plan.Message) -> str:
     """Return the part of a header for one message."""
     name = message.name
     members = "".join(f"    {_struct_member(member)}\n" for member in message.members)
     constants = "".join(
-        f"#define {constant_name(message.ros_name, item.name)} {literal(item.type, item.value)}\n"
+        f"#define {plan.constant_name(message.ros_name, item.name)} {plan.literal(item.type, item.value)}\n"
         for item in message.definition.constants
         if item.type != "wstring"
     )
@@ -177,14 +164,14 @@ def _message(message: Message) -> str:
     )
 
 
-def c_type(member: CMember) -> str:
+def c_type(member: plan.CMember) -> str:
     """Return the C type of a number or a nested message."""
     if member.message:
         return member.message.name
     return _C_TYPES.get(member.kind) or f"{member.kind}_t"
 
 
-def _struct_member(member: CMember) -> str:
+def _struct_member(member: plan.CMember) -> str:
     one = f"{c_type(member)} {{}};"
     if member.characters:
         unit = "char" if member.kind == "string" else "uint16_t"
@@ -196,14 +183,14 @@ def _struct_member(member: CMember) -> str:
         declared = one.format(f"{member.name}[{member.elements}]" if member.elements else member.name)
     is_plain = not member.elements and not member.characters and member.ros.type == member.kind
     says_itself = member.message is not None or is_plain
-    return declared if says_itself else f"{declared} /**< {comment(member.ros.type_text)} */"
+    return declared if says_itself else f"{declared} /**< {plan.comment(member.ros.type_text)} */"
 
 
 _ONE_BY_ONE: Final = frozenset({"bool", "string", "wstring", "message"})
 """Kinds whose arrays are not copied at once: any byte other than 0 is true."""
 
 
-def codec(library: CLibrary, package: str, command: str) -> str:
+def codec(library: plan.CLibrary, package: str, command: str) -> str:
     """Return the text of a package's ``.c`` file."""
     messages = library.of(package)
     head = banner(command, f"The messages of {package}: default values, CDR to and fro.", messages)
@@ -212,18 +199,19 @@ def codec(library: CLibrary, package: str, command: str) -> str:
     return "\n".join([head + includes, *(make(item) for item in messages for make in functions)])
 
 
-def _init(message: Message) -> str:
+def _init(message: plan.Message) -> str:
     arrays = [
         f"static const {c_type(member)} {member.name}_default[{len(member.ros.default)}] = "
-        f"{{{', '.join(literal(member.ros.type, item) for item in member.ros.default)}}}"
+        f"{{{', '.join(plan.literal(member.ros.type, item) for item in member.ros.default)}}}"
         for member in message.members
         if member.ros.default and member.elements and not member.characters
     ]
     wide = [
-        f"static const uint16_t {name}_default[] = {{{', '.join(f'{unit}U' for unit in (*utf16(text), 0))}}}"
+        f"static const uint16_t {name}_default[] = {{{', '.join(f'{unit}U' for unit in (*units, 0))}}}"
         for member in message.members
         if member.kind == "wstring"
         for name, text in _texts(member)
+        for units in [plan.utf16(text)]
     ]
     loops = any(
         member.message and member.message.has_defaults and member.elements and not member.is_sequence
@@ -235,7 +223,7 @@ def _init(message: Message) -> str:
     return function(heads(message.name)["init"], variables, body)
 
 
-def _default(member: CMember) -> str:
+def _default(member: plan.CMember) -> str:
     """Return the statements that give a field its default value, after all is set to zero."""
     place, default = f"message->{member.name}", member.ros.default
     if member.message:
@@ -257,10 +245,10 @@ def _default(member: CMember) -> str:
     if member.elements:
         copied = f"(void)memcpy({data}, {member.name}_default, sizeof({member.name}_default));"
         return text + (statement(copied) if default else "")
-    return statement(f"{place} = {literal(member.ros.type, default)};")
+    return statement(f"{place} = {plan.literal(member.ros.type, default)};")
 
 
-def _texts(member: CMember) -> list[tuple[str, str]]:
+def _texts(member: plan.CMember) -> list[tuple[str, str]]:
     """Return the default strings of a field, each with a name."""
     default = member.ros.default
     if not member.elements:
@@ -268,14 +256,14 @@ def _texts(member: CMember) -> list[tuple[str, str]]:
     return [(f"{member.name}_{number}", item) for number, item in enumerate(default or [])]
 
 
-def _default_text(member: CMember, place: str, name: str, value: str) -> str:
+def _default_text(member: plan.CMember, place: str, name: str, value: str) -> str:
     if member.kind == "string":
-        return statement(f"(void)EDORAS_SET_STRING({place}, {literal('string', value)});")
+        return statement(f"(void)EDORAS_SET_STRING({place}, {plan.literal('string', value)});")
     copied = f"(void)memcpy({place}.data, {name}_default, sizeof({name}_default));"
-    return statement(f"{place}.size = {len(utf16(value))}U;") + statement(copied)
+    return statement(f"{place}.size = {len(plan.utf16(value))}U;") + statement(copied)
 
 
-def _stream(message: Message, verb: str) -> str:
+def _stream(message: plan.Message, verb: str) -> str:
     """Return the function that reads or writes the members of a message."""
     counts = verb == "write" and any(member.is_sequence for member in message.members)
     loops = any(member.elements and member.kind in _ONE_BY_ONE for member in message.members)
@@ -284,7 +272,7 @@ def _stream(message: Message, verb: str) -> str:
     return function(heads(message.name)[verb], variables, body)
 
 
-def _read_one(member: CMember, place: str) -> str:
+def _read_one(member: plan.CMember, place: str) -> str:
     if member.message:
         return f"{member.message.name}__read(reader, &{place});"
     if member.characters:
@@ -293,7 +281,7 @@ def _read_one(member: CMember, place: str) -> str:
     return f"{place} = edoras_read_{member.kind}(reader);"
 
 
-def _member(member: CMember, verb: str) -> str:
+def _member(member: plan.CMember, verb: str) -> str:
     """Return the statements that read or write a member."""
     place, stream = f"message->{member.name}", {"read": "reader", "write": "writer"}[verb]
     one = _read_one if verb == "read" else _write_one
@@ -309,7 +297,7 @@ def _member(member: CMember, verb: str) -> str:
     return text + loop(limit, one(member, f"{data}[i]"))
 
 
-def _write_one(member: CMember, place: str) -> str:
+def _write_one(member: plan.CMember, place: str) -> str:
     if member.message:
         return f"{member.message.name}__write(writer, &{place});"
     if member.characters:
@@ -318,13 +306,13 @@ def _write_one(member: CMember, place: str) -> str:
     return f"edoras_write_{member.kind}(writer, {place});"
 
 
-def _decode(message: Message) -> str:
+def _decode(message: plan.Message) -> str:
     name = message.name
     body = filled("decode.c", name=name, most_trailing=message.most_trailing)
     return function(heads(name)["decode"], ["edoras_status_t status = EDORAS_ARGUMENT"], body)
 
 
-def _encode(message: Message) -> str:
+def _encode(message: plan.Message) -> str:
     body = filled("encode.c", name=message.name)
     return function(heads(message.name)["encode"], ["edoras_writer_t writer"], body)
 
@@ -382,7 +370,7 @@ def _msgids(routes: dict[str, Route], command: str) -> str:
 
 def _about(route: Route) -> str:
     way = f"from {route.link.name}" if route.to_cfs else f"to {route.link.name}"
-    return comment(f"{way}: {route.topic}, {route.type}")
+    return plan.comment(f"{way}: {route.topic}, {route.type}")
 
 
 def _packets(routes: dict[str, Route], command: str, msg_ids: MsgIds) -> str:
@@ -396,7 +384,7 @@ def _packets(routes: dict[str, Route], command: str, msg_ids: MsgIds) -> str:
                 about=f"0x{route.msg_id:04X}, {_about(route)}",
                 kind=kind,
                 head=head,
-                type=c_type_name(route.type),
+                type=plan.c_type_name(route.type),
                 struct="".join(map(str.capitalize, name.split("_"))),
             )
     about = (
@@ -438,7 +426,7 @@ class LibraryOrder(msgspec.Struct, frozen=True):
     """
 
     types: Sequence[str] = ()
-    bounds: Bounds = Bounds()
+    bounds: plan.Bounds = plan.Bounds()
     mission: Mission = Mission()
     pool: int = POOL_DEFAULT
     envelope: EnvelopeFormat = EnvelopeFormat()
@@ -453,7 +441,7 @@ class Generated(msgspec.Struct, frozen=True):
         files: texts of the files by name.
     """
 
-    library: CLibrary
+    library: plan.CLibrary
     files: dict[str, str]
 
 
@@ -469,7 +457,7 @@ def generate(types: TypeStore, order: LibraryOrder) -> Generated:
         raise ConfigError("no message type is named: give types, packages, or a mission with -c")
     if not 1 <= order.pool <= MOST_POOLED:
         raise ConfigError(f"--pool: {order.pool} is not from 1 to {MOST_POOLED}")
-    library, command = plan_messages(types, type_names, order.bounds), _command(types, order)
+    library, command = plan.plan_messages(types, type_names, order.bounds), _command(types, order)
     files = {
         path.relative_to(RUNTIME).as_posix(): banner(command) + path.read_text(encoding="utf-8")
         for path in sorted(RUNTIME.rglob("*.[ch]"))
@@ -490,8 +478,8 @@ def _command(types: TypeStore, order: LibraryOrder) -> str:
     words += [word for name in sorted(order.mission.files) for word in ("-c", name)]
     words += [word for rule in order.bounds.rules for word in ("--bound", rule.text)]
     for option, value, default in (
-        ("--bound strings=", order.bounds.strings, STRINGS_DEFAULT),
-        ("--bound sequences=", order.bounds.sequences, SEQUENCES_DEFAULT),
+        ("--bound strings=", order.bounds.strings, plan.STRINGS_DEFAULT),
+        ("--bound sequences=", order.bounds.sequences, plan.SEQUENCES_DEFAULT),
         ("--pool ", order.pool, POOL_DEFAULT),
         ("--set envelope=", str(order.envelope), str(EnvelopeFormat())),
         ("--set distro=", types.distro, USUAL_DISTRO),
@@ -535,7 +523,7 @@ def _type_names(types: TypeStore, names: Iterable[str]) -> list[str]:
 _INCLUDES: Final = f'#include "{UMBRELLA}"\n#include "edoras_core/tables.h"\n'
 
 
-def tables(library: CLibrary, command: str) -> str:
+def tables(library: plan.CLibrary, command: str) -> str:
     """Return the text of the file with the tables."""
     about = "Every field by its name, for the functions of edoras_core, and the pools behind create_msg."
     pooled_names = {message.ros_name for message in library.requested}
@@ -552,7 +540,7 @@ def tables(library: CLibrary, command: str) -> str:
     return "\n".join(parts)
 
 
-def _table(message: Message, *, pooled: bool) -> str:
+def _table(message: plan.Message, *, pooled: bool) -> str:
     name = message.name
     rows = "".join(_row(name, member) for member in sorted(message.members, key=lambda item: item.ros.name))
     return filled(
@@ -567,7 +555,7 @@ def _table(message: Message, *, pooled: bool) -> str:
     )
 
 
-def _row(owner: str, member: CMember) -> str:
+def _row(owner: str, member: plan.CMember) -> str:
     shape = "EDORAS_SEQUENCE" if member.is_sequence else "EDORAS_ARRAY" if member.elements else "EDORAS_ONE"
     nested = f"&{member.message.name}__type" if member.message else "NULL"
     length = member.characters + 1 if member.characters else 0

@@ -20,19 +20,8 @@ from edoras_tools.addons.fprime import link as fprime
 from edoras_tools.addons.fprime.link import PacketType
 from edoras_tools.addons.fprime.table import BoundEntry, Entry, EntryTable, EventSeverity
 from edoras_tools.errors import ConfigError
+from edoras_tools.structs import shapes
 from edoras_tools.structs.files import Database, plain_values
-from edoras_tools.structs.shapes import (
-    BASIC,
-    ENTRY_KEY,
-    Basic,
-    Enumeration,
-    Key,
-    Member,
-    Struct,
-    StructLayout,
-    Wanted,
-    arrange,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -77,24 +66,24 @@ _NAME: Final = re.compile(r"[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*", re.ASCII)
 _LARGEST: Final = 1 << 16
 """Maximum size of a value, bytes: that of a packet."""
 _HIGHEST: Final = (1 << 32) - 1
-TIME: Final = Struct(
+TIME: Final = shapes.Struct(
     "FprimeTime",
     fprime.TIME_BYTES,
     (
-        Member("base", "FprimeTimeBase", 0, doc="which clock"),
-        Member("context", BASIC["uint8"], 2, doc="free for the mission"),
-        Member("seconds", BASIC["uint32"], 3, doc="of that clock"),
-        Member("microseconds", BASIC["uint32"], 7, doc="beyond its seconds"),
+        shapes.Member("base", "FprimeTimeBase", 0, doc="which clock"),
+        shapes.Member("context", shapes.BASIC["uint8"], 2, doc="free for the mission"),
+        shapes.Member("seconds", shapes.BASIC["uint32"], 3, doc="of that clock"),
+        shapes.Member("microseconds", shapes.BASIC["uint32"], 7, doc="beyond its seconds"),
     ),
     doc="when, by a clock of the flight software",
 )
-_TIME_BASE: Final = Enumeration("FprimeTimeBase", BASIC["uint16"], fprime.TIME_BASES)
+_TIME_BASE: Final = shapes.Enumeration("FprimeTimeBase", shapes.BASIC["uint16"], fprime.TIME_BASES)
 
 
 class _Type(msgspec.Struct, frozen=True):
     """A type: a basic type, an enumeration or a struct, with the dimensions of an array of them."""
 
-    base: Basic | str
+    base: shapes.Basic | str
     size: int
     dims: tuple[int, ...] = ()
     text: int = 0
@@ -103,9 +92,9 @@ class _Type(msgspec.Struct, frozen=True):
     def bytes(self) -> int:
         return prod(self.dims) * self.size
 
-    def member(self, name: str, doc: str) -> Wanted:
+    def member(self, name: str, doc: str) -> shapes.Wanted:
         dims = (*self.dims, self.text) if self.text else self.dims
-        return Wanted(Member(name, self.base, 0, dims, doc=doc), self.size, 1, placed=False)
+        return shapes.Wanted(shapes.Member(name, self.base, 0, dims, doc=doc), self.size, 1, placed=False)
 
 
 class DictionaryEntries(tuple[Entry, ...]):
@@ -113,9 +102,11 @@ class DictionaryEntries(tuple[Entry, ...]):
 
     __slots__ = ()
 
-    def bind(self, key: Key, layout: StructLayout, struct: Struct, type_name: str) -> BoundEntry:
+    def bind(
+        self, key: shapes.Key, layout: shapes.StructLayout, struct: shapes.Struct, type_name: str
+    ) -> BoundEntry:
         """Return the struct of an entry that makes its messages."""
-        return BoundEntry(self[key.msg_id - ENTRY_KEY], key, layout, struct, type_name)
+        return BoundEntry(self[key.msg_id - shapes.ENTRY_KEY], key, layout, struct, type_name)
 
     def table(self, structs: Structs) -> EntryTable:
         """Return the table of the bound entries."""
@@ -133,7 +124,7 @@ def is_dictionary(data: bytes) -> bool:
     return _TYPES in raw and any(name in raw for name in _SECTIONS)
 
 
-def read_dictionary(data: bytes, name: str) -> StructLayout:
+def read_dictionary(data: bytes, name: str) -> shapes.StructLayout:
     """Read a dictionary.
 
     Args:
@@ -159,14 +150,14 @@ class _DictionaryReader(msgspec.Struct):
     raw: Mapping[str, Any]
     name: str
     mistakes: list[ConfigError] = msgspec.field(default_factory=list)
-    enums: dict[str, Enumeration] = msgspec.field(default_factory=dict)
-    structs: dict[str, Struct] = msgspec.field(default_factory=dict)
+    enums: dict[str, shapes.Enumeration] = msgspec.field(default_factory=dict)
+    structs: dict[str, shapes.Struct] = msgspec.field(default_factory=dict)
     types: dict[str, _Type] = msgspec.field(default_factory=dict)
-    entries: dict[tuple[int, int], tuple[Entry, Struct]] = msgspec.field(default_factory=dict)
+    entries: dict[tuple[int, int], tuple[Entry, shapes.Struct]] = msgspec.field(default_factory=dict)
     definitions: dict[str, tuple[str, Any]] = msgspec.field(default_factory=dict)
-    channels: dict[str, Wanted | None] = msgspec.field(default_factory=dict)
+    channels: dict[str, shapes.Wanted | None] = msgspec.field(default_factory=dict)
 
-    def layout(self) -> StructLayout:
+    def layout(self) -> shapes.StructLayout:
         self.enums[_TIME_BASE.name], self.structs[TIME.name] = _TIME_BASE, TIME
         for where, item in self._items("", self.raw, _TYPES):
             with self._noting():
@@ -182,9 +173,9 @@ class _DictionaryReader(msgspec.Struct):
                     kind = PacketType.PACKETIZED_TELEMETRY
                     self._entry(place, packet, kind, self._packet(place, packet))
         pairs = sorted(self.entries.items())
-        keys = [Key(ENTRY_KEY + rank, 0) for rank in range(len(pairs))]
+        keys = [shapes.Key(shapes.ENTRY_KEY + rank, 0) for rank in range(len(pairs))]
         self.structs |= {struct.name: struct for _, (_, struct) in pairs}
-        return StructLayout(
+        return shapes.StructLayout(
             self.structs,
             self.enums,
             {key: struct.name for key, (_, (_, struct)) in zip(keys, pairs, strict=True)},
@@ -216,7 +207,9 @@ class _DictionaryReader(msgspec.Struct):
                 text += f"; only {int(expected)}, the default, can be read"
                 self.mistakes.append(self._mistake(place, text))
 
-    def _entry(self, where: str, item: Mapping[str, Any], kind: PacketType, values: list[Wanted]) -> None:
+    def _entry(
+        self, where: str, item: Mapping[str, Any], kind: PacketType, values: list[shapes.Wanted]
+    ) -> None:
         """Store the contents of packets of one id."""
         name, id_name = self._text(where, item, "name"), "opcode" if kind is PacketType.COMMAND else "id"
         number = self._number(where, item, id_name, most=fprime.ENTRY_HEADERS[kind].slots[0].mask)
@@ -231,11 +224,11 @@ class _DictionaryReader(msgspec.Struct):
         if other is not None:
             raise self._mistake(where, f"{id_name} {number:#x} of {name} is that of {other[0].name}, too")
         entry = Entry(kind, number, name, severity, form)
-        time = Wanted(Member("time", TIME.name, 0), TIME.size, 1, placed=False)
+        time = shapes.Wanted(shapes.Member("time", TIME.name, 0), TIME.size, 1, placed=False)
         struct = self._arranged(where, item, f"{entry.word}_{_plain(name)}", [*[time] * entry.timed, *values])
         self.entries[kind, number] = entry, struct
 
-    def _values(self, where: str, item: Mapping[str, Any], kind: PacketType) -> list[Wanted]:
+    def _values(self, where: str, item: Mapping[str, Any], kind: PacketType) -> list[shapes.Wanted]:
         """Return the parameters of a command or an event, or the value of a channel."""
         if kind is PacketType.TELEMETRY:
             name = str(item.get("name"))
@@ -247,7 +240,7 @@ class _DictionaryReader(msgspec.Struct):
             for place, one in self._items(where, item, "formalParams")
         ]
 
-    def _packet(self, where: str, item: Mapping[str, Any]) -> list[Wanted]:
+    def _packet(self, where: str, item: Mapping[str, Any]) -> list[shapes.Wanted]:
         """Return the channels of a packet, whose values have fixed positions."""
         names, values = item.get("members"), []
         if not isinstance(names, list):
@@ -259,7 +252,7 @@ class _DictionaryReader(msgspec.Struct):
                 values.append(replace(value, member=replace(value.member, name=_plain(name))))
         return values
 
-    def _value(self, where: str, item: Mapping[str, Any], name: str) -> Wanted:
+    def _value(self, where: str, item: Mapping[str, Any], name: str) -> shapes.Wanted:
         return self._type(f"{where}.type", item.get("type"), ()).member(name, _doc(item))
 
     def _type(self, where: str, raw: Any, within: tuple[str, ...]) -> _Type:
@@ -268,11 +261,11 @@ class _DictionaryReader(msgspec.Struct):
         if not isinstance(name, str):
             raise self._mistake(where, f"{_short(raw)} is not a type as {{'name': 'U32', ...}}")
         if name in _PLAIN:
-            basic = BASIC[_PLAIN[name]]
+            basic = shapes.BASIC[_PLAIN[name]]
             return _Type(basic, basic.size)
         if name == "string":
             size = self._number(where, raw, "size", 1, _LARGEST)
-            return _Type(BASIC["char"], size, (), size)
+            return _Type(shapes.BASIC["char"], size, (), size)
         if name not in self.types:
             if name not in self.definitions:
                 raise self._mistake(where, f"there is no type {name!r} in typeDefinitions")
@@ -302,7 +295,7 @@ class _DictionaryReader(msgspec.Struct):
 
     def _enum(self, where: str, item: Mapping[str, Any], name: str) -> _Type:
         base = self._type(f"{where}.representationType", item.get("representationType"), ())
-        if not isinstance(base.base, Basic) or "int" not in str(base.base) or base.dims:
+        if not isinstance(base.base, shapes.Basic) or "int" not in str(base.base) or base.dims:
             raise self._mistake(where, f"{name} is not represented by an integer")
         names: dict[int, str] = {}
         for place, one in self._items(where, item, "enumeratedConstants"):
@@ -311,14 +304,14 @@ class _DictionaryReader(msgspec.Struct):
                 raise self._mistake(place, f"value {_short(value)} does not fit {base.base}")
             names.setdefault(value, label)
         plain = self._free(name)
-        self.enums[plain] = Enumeration(plain, base.base, names)
+        self.enums[plain] = shapes.Enumeration(plain, base.base, names)
         return _Type(plain, base.size)
 
     def _struct(self, where: str, item: Mapping[str, Any], name: str, within: tuple[str, ...]) -> _Type:
         raw = item.get("members")
         if not isinstance(raw, dict) or not raw:
             raise self._mistake(where, f"members of {name}: expected {{NAME: {{type: ..., index: ...}}}}")
-        by_index: dict[int, Wanted] = {}
+        by_index: dict[int, shapes.Wanted] = {}
         for label, one in raw.items():
             place = f"{where}.members.{label}"
             if not isinstance(one, dict) or not _NAME.fullmatch(label):
@@ -335,11 +328,13 @@ class _DictionaryReader(msgspec.Struct):
         self.structs[plain] = struct
         return _Type(plain, struct.size)
 
-    def _arranged(self, where: str, item: Mapping[str, Any], name: str, values: list[Wanted]) -> Struct:
+    def _arranged(
+        self, where: str, item: Mapping[str, Any], name: str, values: list[shapes.Wanted]
+    ) -> shapes.Struct:
         """Return a struct of values that follow each other without padding."""
-        members, size, _ = arrange(values, packed=True)
+        members, size, _ = shapes.arrange(values, packed=True)
         self._check_size(where, size)
-        return Struct(name, size, tuple(members), doc=_doc(item))
+        return shapes.Struct(name, size, tuple(members), doc=_doc(item))
 
     def _check_size(self, where: str, size: int) -> None:
         if size > _LARGEST:
@@ -348,7 +343,7 @@ class _DictionaryReader(msgspec.Struct):
     def _free(self, name: str) -> str:
         """Return the name of a type without dots; a different one if it is already used."""
         plain = _plain(name)
-        while plain in self.enums or plain in self.structs or plain in BASIC:
+        while plain in self.enums or plain in self.structs or plain in shapes.BASIC:
             plain += "_"
         return plain
 

@@ -445,7 +445,7 @@ def sweep(
     """
     from edoras_tools.addons.lab.sweep.plan import route_of
     from edoras_tools.addons.lab.sweep.run import sweep as carry_out
-    from edoras_tools.addons.lab.views import sweep as view
+    from edoras_tools.addons.lab.views import view
     from edoras_tools.io.outputs import check_new
     from edoras_tools.links.table import links
     from edoras_tools.render.plot import svg
@@ -474,7 +474,7 @@ def sweep(
         if json:
             print_json(summary)
         else:
-            print_view(view.plan(summary))
+            print_view(view.sweep_plan(summary))
         return
     if steps.sim is None:
         assert send_options.target is not None
@@ -487,7 +487,7 @@ def sweep(
     if json:
         print_json(summary)
     elif not quiet and (result.steps or result.failure is None):
-        print_view(lambda width: view.outcome(summary, width))
+        print_view(lambda width: view.sweep_outcome(summary, width))
     if result.steps:
         _draw(summary, pictures)
     if result.failure is not None:
@@ -497,7 +497,7 @@ def sweep(
 
 
 def _draw(summary: dict[str, Any], pictures: dict[str, Path]) -> None:
-    from edoras_tools.addons.lab.views.sweep import chart, threshold_line
+    from edoras_tools.addons.lab.views.view import chart, threshold_line
     from edoras_tools.io.outputs import write_bytes
     from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg, png
 
@@ -524,7 +524,7 @@ def experiment(
     For example, PLAN.yaml: {scenario: rover, settings: {rate: [5, 10]}, runs: 5..40, width: 1%}
     """
     from edoras_tools.addons.lab.experiment import Experiment, load_plan
-    from edoras_tools.addons.lab.views.sweep import cells_table, step_status
+    from edoras_tools.addons.lab.views.view import cells_table, step_status
     from edoras_tools.io.net.sockets import parse_endpoint
 
     plan_ = load_plan(plan)

@@ -24,16 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from edoras_tools.links.doors import (
-    NOT_A_MESSAGE,
-    NOT_YET,
-    Framing,
-    MessageContents,
-    OwnTopics,
-    Reading,
-    Site,
-    TopicSpace,
-)
+from edoras_tools.links import doors
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, LinkSending, Located, Seen
 from edoras_tools.model import Decoded, LayerField, PacketBatch, Transport
 from edoras_tools.wire import cfe
@@ -278,7 +269,7 @@ _PROTOCOL: Final = re.compile(rb"(?im)^sec-websocket-protocol:[ \t]*([^\r\n]*)")
 _EXTENSIONS: Final = re.compile(rb"(?im)^sec-websocket-extensions:[ \t]*([^\r\n]*)")
 
 
-class WebSocketFraming(Framing):
+class WebSocketFraming(doors.Framing):
     """Cuts a stream into the handshake and frames; messages have the header of RACS2."""
 
     head = 14
@@ -291,7 +282,7 @@ class WebSocketFraming(Framing):
         headers = read_headers(data, at, end)
         size = headers.size + headers.length
         fits = headers.valid & (headers.length <= LARGEST_MESSAGE - LARGEST_HEADER)
-        lengths = np.where(headers.complete, np.where(fits, size, NOT_A_MESSAGE), NOT_YET)
+        lengths = np.where(headers.complete, np.where(fits, size, doors.NOT_A_MESSAGE), doors.NOT_YET)
         first = data[np.minimum(at, len(data) - 1)]
         for text in _HTTP:  # no frame can begin with the first byte of either
             for row in np.flatnonzero((first == text[0]) & (room > 0)).tolist():
@@ -329,7 +320,9 @@ class WebSocketState:
         self._inflate: dict[bool, zlib._Decompress] = {}
         self._takeover = True
 
-    def contents(self, data: Octets, offset: Integers, length: Integers, forward: Mask) -> MessageContents:
+    def contents(
+        self, data: Octets, offset: Integers, length: Integers, forward: Mask
+    ) -> doors.MessageContents:
         """Return the payloads of frames, unmasked; see :class:`~edoras_tools.links.doors.StreamState`."""
         headers = read_headers(data, offset, offset + length)
         http = ~headers.valid
@@ -357,7 +350,7 @@ class WebSocketState:
                 start[row], content_bytes[row] = used, len(whole)
                 parts.append(np.frombuffer(whole, np.uint8))
                 used += len(whole)
-        contents = MessageContents(np.concatenate(parts), start, content_bytes, part)
+        contents = doors.MessageContents(np.concatenate(parts), start, content_bytes, part)
         messages = headers.valid & (headers.opcode < Opcode.CLOSE) & ~part
         if not self._judged and messages.any():
             self._judged = True
@@ -409,11 +402,11 @@ def _handshake_length(data: Octets, text: bytes) -> int:
     """Return the size in bytes of a request or response that begins with ``text``, with its blank line."""
     head = data[:_LONGEST_HANDSHAKE].tobytes()
     if head[: len(text)] != text[: len(head)]:
-        return NOT_A_MESSAGE
+        return doors.NOT_A_MESSAGE
     end = head.find(_BLANK_LINE)
     if end >= 0:
         return end + len(_BLANK_LINE)
-    return NOT_YET if len(head) < _LONGEST_HANDSHAKE else NOT_A_MESSAGE
+    return doors.NOT_YET if len(head) < _LONGEST_HANDSHAKE else doors.NOT_A_MESSAGE
 
 
 _NAME_BYTES: Final = np.isin(
@@ -471,7 +464,7 @@ class RacsBridgeLink(LinkProtocol):
     port_decides = False
     sends = True
 
-    def send(self, site: Site, *, up: bool) -> LinkSending:
+    def send(self, site: doors.Site, *, up: bool) -> LinkSending:
         """Return what sends messages to the ROS side, a server; or (up), as that server, to the cFS side."""
         return self.part(f"sending:{'Server' if up else 'Bridge'}Sending")(self)
 
@@ -490,11 +483,11 @@ class RacsBridgeLink(LinkProtocol):
             name = name & (word & _NO_ASCII == 0) & (_has(word, " ") == 0) & (_has(word, '"') == 0)
         return BY_CONTENT * ((facts.length > BRIDGE_HEADER - 1) & (to_cfs | name))
 
-    def locate(self, batch: PacketBatch, rows: Places, site: Site) -> Located:
+    def locate(self, batch: PacketBatch, rows: Places, site: doors.Site) -> Located:
         """Find no packets: the messages have none."""
         return Located(len(rows))
 
-    def dissect(self, reading: Reading, site: Site) -> None:
+    def dissect(self, reading: doors.Reading, site: doors.Site) -> None:
         """Read the header and the body of one message."""
         data = reading.data
         first = int.from_bytes(data[:2], "big")
@@ -521,7 +514,7 @@ class RacsBridgeLink(LinkProtocol):
         }
         return {"subprotocol": SUBPROTOCOL, "largest": LARGEST_BODY, "values": kinds}
 
-    def topics(self, space: TopicSpace) -> OwnTopics:
+    def topics(self, space: doors.TopicSpace) -> doors.OwnTopics:
         """Return the maker of the link's messages; its code is loaded with the first."""
         return self.part("topics:BridgeTopics")(space)
 

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.addons.ros_verbs.endpoints import GraphEndpoint, GraphRequest
-    from edoras_tools.addons.ros_verbs.messages import Kind, MessageBlock
-    from edoras_tools.addons.ros_verbs.playing import PlayRequest
+    from edoras_tools.addons.ros_verbs.playing import Kind, MessageBlock, PlayRequest
     from edoras_tools.io import Source
     from edoras_tools.middleware.graph import Qos
     from edoras_tools.pipelines.workbench import Workbench
@@ -245,7 +244,7 @@ def echo(
 
     Of a graph, a link, a capture or a recording, as ros2 topic echo does.
     """
-    from edoras_tools.addons.ros_verbs.messages import read_topics
+    from edoras_tools.addons.ros_verbs.playing import read_topics
 
     words, before = Words.of(arguments), 0
     topic = words.topic("echo")
@@ -296,7 +295,7 @@ class MeasureOptions(NamedTuple):
 
 def _measure(kind: Kind, arguments: Sequence[str] | None, how: MeasureOptions) -> None:
     """Measure topics; print the figures once a second and at the end, or once at the end as JSON."""
-    from edoras_tools.addons.ros_verbs.messages import USUAL_WINDOWS, TopicFigures, rate_table, read_topics
+    from edoras_tools.addons.ros_verbs.playing import USUAL_WINDOWS, TopicFigures, rate_table, read_topics
 
     words, (source, window, json, decoding) = Words.of(arguments), how
     if kind != "hz" or not words.topics:
@@ -429,7 +428,7 @@ def _topics(words: Words, source: SourceOptions, decoding: options.DecodingOptio
 
     if source.reads_graph(words):
         return topics_of_graph(source.request(()), decoding.settings())
-    from edoras_tools.addons.ros_verbs.messages import topics_in
+    from edoras_tools.addons.ros_verbs.playing import topics_in
 
     rows = []
     for item, profiles, is_published in topics_in(*source.open(words, decoding), source.duration or 0):

@@ -2,37 +2,46 @@
 
 The sending loop of ``replay`` keeps the times; the graph takes the place of its network. ``/clock`` is sent
 with the messages, so the recording's time is as exact as they are.
+
+Messages are those of any source, by topic, as a recording of it would contain them. They have figures, too.
+
+Figures are rate, bandwidth and delay of a topic over its last messages, printed as by ``ros2 topic``.
+Times between messages are those of receiving, or of the capture. Bandwidth is the size of all messages of
+the window except the first, divided by the time from the first to the last. So no figure depends on the time
+of the query.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence  # noqa: TC003  of a NamedTuple
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.addons.ros_verbs.endpoints import recorded_qos
-from edoras_tools.addons.ros_verbs.messages import OWN_NAMES, TopicReader
-from edoras_tools.errors import CaptureError, EdorasError
+from edoras_tools.errors import CaptureError, ConfigError, EdorasError, RouteError
 from edoras_tools.io.net.transmit import Arrival, HostClock, SendStatistics, precise_timing
-from edoras_tools.io.topics.streams import QOS_METADATA, Topic
+from edoras_tools.io.topics.messages import RECORD, RECORD_BYTES, lay_out
+from edoras_tools.io.topics.streams import OWN_TOPICS, QOS_METADATA, RecordedStreams, Streams, Topic
 from edoras_tools.middleware.graph import Qos
 from edoras_tools.model import OTHER, Endpoint
 from edoras_tools.pipelines.bridge.plan import qos_of
 from edoras_tools.pipelines.reading import Limits, reading
-from edoras_tools.pipelines.selection import Period
+from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule, in_order
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.sessions.outgoing import Outgoing
 from edoras_tools.sessions.pacing import Pacing
 from edoras_tools.units import SECOND
+from edoras_tools.wire.arrays import gather
+from edoras_tools.words import did_you_mean, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from edoras_tools.io import Source
     from edoras_tools.middleware import Graph
@@ -40,6 +49,250 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.reading import Keys
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from edoras_tools.decode.filters.rows import ColumnRows
+    from edoras_tools.io import Source
+    from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.ros import TypeStore
+
+    Kind = Literal["hz", "bw", "delay"]
+
+
+OWN_NAMES: Final = frozenset(item.name for item in OWN_TOPICS)
+"""Topics about a capture, which are no topics of a graph."""
+
+
+class MessageBlock(NamedTuple):
+    """Messages of one topic in columns with one element for each message.
+
+    Attributes:
+        topic: name of the topic.
+        type: ROS name.
+        time_ns: i64 (n,), time of receiving or capture, ns since 1970.
+        published_ns: i64 (n,), time of publishing, if the source has it; else as ``time_ns``.
+        sequence: u32 (n,), publisher's number of the message; 0 for none.
+        data: u8, buffer of the messages.
+        offset: i64 (n,), first byte, encapsulation included.
+        length: i64 (n,), size in bytes.
+    """
+
+    topic: str
+    type: str
+    time_ns: NDArray[np.int64]
+    published_ns: NDArray[np.int64]
+    sequence: NDArray[np.uint32]
+    data: NDArray[np.uint8]
+    offset: NDArray[np.int64]
+    length: NDArray[np.int64]
+
+    def cdr(self, index: int) -> bytes:
+        """Return one message."""
+        start = int(self.offset[index])
+        return self.data[start : start + int(self.length[index])].tobytes()
+
+    def stamps(self, types: TypeStore) -> NDArray[np.int64] | None:
+        """Return the time in each message's header, ns since 1970; None if the type begins with no header."""
+        fields = types.fields(self.type) if types.has(self.type) else ()
+        if not fields or fields[0].type != "std_msgs/msg/Header":
+            return None
+        parts = gather(self.data, self.offset + 4, 8).copy().view("<u4")  # behind the encapsulation
+        big = self.data[self.offset + 1] % 2 == 0
+        seconds, rest = np.where(big[:, None], parts.byteswap(), parts).astype(np.int64).T
+        return seconds * SECOND + rest
+
+
+class TopicReader:
+    """Returns the messages of a source by topic, batch by batch.
+
+    Attributes:
+        topics: topics of the source so far, by their channel.
+    """
+
+    def __init__(self, bench: Workbench) -> None:
+        mission, context = bench.mission, bench.columns.context
+        self._recorded = RecordedStreams(mission, bench.types) if mission.recorded else None
+        if self._recorded is None:
+            more = {"structs": context.structs, "add": self._add}
+            self._streams = Streams(mission, bench.types, datagrams=False, **more)  # type: ignore[arg-type]
+            self._streams.endpoints = context.endpoints
+        topics = self._recorded.topics if self._recorded else self._streams.topics
+        self.topics: dict[int, Topic] = dict(enumerate(topics))
+
+    def blocks(self, rows: ColumnRows, topics: Sequence[str] = ()) -> Iterator[MessageBlock]:
+        """Yield the messages of a batch; only those of some topics, if these are named."""
+        if not len(rows):
+            return
+        batch, columns = rows.alone()
+        if self._recorded is not None:
+            messages = self._recorded.prepared_messages(batch)
+        else:
+            messages = self._streams.messages(batch, columns, statistics=False)
+        records = lay_out(messages, len(batch))
+        data = np.frombuffer(records.data, np.uint8)
+        for channel in np.unique(records.channel_id).tolist():
+            topic = self.topics[channel]
+            if topics and topic.name not in topics:
+                continue
+            own = np.flatnonzero(records.channel_id == channel)
+            start, time_ns = records.start[own], records.log_time[own].astype(np.int64)
+            heads = gather(data, start - RECORD_BYTES, RECORD_BYTES).copy().view(np.dtype(RECORD))[:, 0]
+            published, length = heads["publish_time"].astype(np.int64), records.end[own] - start
+            sequence = heads["sequence"]
+            yield MessageBlock(topic.name, topic.type, time_ns, published, sequence, data, start, length)
+
+    def check(self, topics: Sequence[str]) -> None:
+        """Check at the end that all of some topics had messages.
+
+        Raises:
+            RouteError: a topic had none.
+        """
+        names = [item.name for item in self.topics.values()]
+        for topic in topics:
+            if topic not in names:
+                existing = [name for name in names if name not in OWN_NAMES] or names
+                hint = did_you_mean(topic, names, 1) or f"there are {listed(sorted(existing), 12)}"
+                raise RouteError(f"no topic is called {topic!r}; {hint}")
+
+    def _add(self, topic: Topic) -> int:
+        self.topics[len(self.topics)] = topic
+        return len(self.topics) - 1
+
+
+def read_topics(
+    source: Source, bench: Workbench, topics: Sequence[str], where: str = "", duration_ns: int = 0
+) -> Iterator[list[MessageBlock]]:
+    """Yield the messages of some topics as they arrive, one list for each batch; the source is closed.
+
+    Args:
+        where: filter that messages must pass.
+        duration_ns: duration of reading a live source, ns; 0: to its end.
+
+    Raises:
+        RouteError: a topic is not in the source.
+    """
+    reader = TopicReader(bench)
+    with reading(source, bench, Selection(where=where), Limits(duration_ns=duration_ns)) as loop:
+        for rows in loop:
+            yield list(reader.blocks(rows, topics))
+    reader.check(topics)
+
+
+def topics_in(source: Source, bench: Workbench, duration_ns: int = 0) -> list[tuple[Topic, str, bool]]:
+    """Return the topics of a file or a link; the source is closed.
+
+    Returns:
+        Each topic with its publishers' quality of service in rosbag2's notation, and whether it had a
+        message.
+    """
+    reader, published = TopicReader(bench), set[str]()
+    with reading(source, bench, limits=Limits(duration_ns=duration_ns)) as loop:
+        for rows in loop:
+            published |= {block.topic for block in reader.blocks(rows)}
+    return [
+        (topic, topic.metadata.get(QOS_METADATA, ""), topic.name in published)
+        for topic in sorted(reader.topics.values(), key=lambda item: item.name)
+        if topic.name in published or topic.name not in OWN_NAMES
+    ]
+
+
+USUAL_WINDOWS: Final = {"hz": 10_000, "bw": 100, "delay": 10_000}
+"""Default numbers of messages, as in ``ros2 topic``."""
+_UNITS: Final = ((1_000_000, "MB", 2), (1_000, "KB", 2), (1, "B", 0))
+_HEAD: Final = ("topic", "rate", "min_delta", "max_delta", "std_dev", "window")
+
+
+class TopicFigures:
+    """The figures of one topic.
+
+    Args:
+        kind: kind of figures.
+        topic: name of the topic.
+        window: number of messages; for rates, number of intervals.
+    """
+
+    def __init__(self, kind: Kind, topic: str, window: int) -> None:
+        self.kind, self.topic = kind, topic
+        self._messages, self._window = 0, window + (kind == "hz")
+        self._times = self._values = np.zeros(0, np.int64)
+
+    def add(self, block: MessageBlock, types: TypeStore) -> None:
+        """Add messages of the topic.
+
+        Raises:
+            ConfigError: the delay is requested, and the messages have no header.
+        """
+        values = block.length
+        if self.kind == "delay":
+            stamps = block.stamps(types)
+            if stamps is None:
+                raise ConfigError(f"{block.topic}: {block.type} has no header: nothing says when it was made")
+            values = block.time_ns - stamps
+        self._messages += len(values)
+        self._times = np.concatenate([self._times, block.time_ns])[-self._window :]
+        self._values = np.concatenate([self._values, values])[-self._window :]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the figures in the shape of ``topic.schema.json``."""
+        gaps = np.diff(self._times)
+        row: dict[str, Any] = {"topic": self.topic, "messages": self._messages}
+        if self.kind == "bw":
+            size, span_ns = self._values, int(gaps.sum())
+            rate = float(size[1:].sum()) * SECOND / span_ns if span_ns > 0 else None
+            spread = _spread(size, "bytes")
+            del spread["std_dev_bytes"]
+            return row | {"window": len(size), "bytes_per_s": rate} | spread
+        seconds = (gaps if self.kind == "hz" else self._values) / SECOND
+        row |= {"window": len(seconds)} | _spread(seconds, "s")
+        if self.kind == "hz":
+            row["rate_hz"] = 1 / row["mean_s"] if row["mean_s"] else None
+        return row
+
+    def text(self) -> str:
+        """Return the output of ``ros2 topic``; empty if there is none yet."""
+        row = self.as_json()
+        if len(self._values) < (1 if self.kind == "delay" else 2):
+            return ""
+        if self.kind == "bw":
+            rate = row["bytes_per_s"] or 0.0
+            size, unit, digits = next((item for item in _UNITS if rate >= item[0]), _UNITS[-1])
+            mean, least, most, rate = (
+                f"{value / size:.{digits}f} {unit}"
+                for value in (row["mean_bytes"], row["min_bytes"], row["max_bytes"], rate)
+            )
+            start = f"{rate}/s from {row['window']} messages"
+            return f"{start}\n\tMessage size mean: {mean} min: {least} max: {most}"
+        name, value = ("rate", row["rate_hz"] or 0.0) if self.kind == "hz" else ("delay", row["mean_s"])
+        return (
+            f"average {name}: {value:.3f}\n\tmin: {row['min_s']:.3f}s max: {row['max_s']:.3f}s "
+            f"std dev: {row['std_dev_s']:.5f}s window: {row['window']}"
+        )
+
+
+def _spread(values: NDArray[Any], unit: str) -> dict[str, Any]:
+    """Return mean, minimum, maximum and standard deviation; None for no values."""
+    names = (f"{name}_{unit}" for name in ("mean", "min", "max", "std_dev"))
+    stats = (values.mean(), values.min(), values.max(), values.std()) if len(values) else (None,) * 4
+    return {name: None if item is None else float(item) for name, item in zip(names, stats, strict=True)}
+
+
+def rate_table(figures: Sequence[TopicFigures]) -> str:
+    """Return the rates of several topics in the form of ``ros2 topic hz``; empty if there are none."""
+    rows = []
+    for item in figures:
+        entry = item.as_json()
+        if item.text():
+            parts = (f"{entry[name] or 0:.3f}" for name in ("rate_hz", "min_s", "max_s"))
+            rows.append([item.topic, *parts, f"{entry['std_dev_s']:.5f}", str(entry["window"])])
+    width = [max(len(row[at]) for row in (_HEAD, *rows)) for at in range(len(_HEAD))]
+    head = "   ".join(name.center(size) for name, size in zip(_HEAD, width, strict=True))
+    body = ["   ".join(cell.ljust(size) for cell, size in zip(row, width, strict=True)) for row in rows]
+    return "\n".join([head, "=" * len(head), *body, ""]) if rows else ""
+
 
 CLOCK: Final = "/clock"
 _CLOCK_TYPE: Final = "rosgraph_msgs/msg/Clock"

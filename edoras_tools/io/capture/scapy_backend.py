@@ -16,15 +16,8 @@ import numpy as np
 
 from edoras_tools.decode.columns import beginning
 from edoras_tools.errors import CaptureError
+from edoras_tools.io.capture import device
 from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2, NOTHING, RAW, attach_program
-from edoras_tools.io.capture.device import (
-    Device,
-    DeviceSource,
-    denied,
-    find_interface,
-    interfaces,
-    missing_interface,
-)
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.network import error_rows, quoted_ports
 from edoras_tools.model import Finding, PacketBatch, SourceInfo
@@ -53,7 +46,7 @@ _AT_ONCE: Final = 4096
 """Maximum frames of one read."""
 
 
-class Sniffer(Device):
+class Sniffer(device.Device):
     """A scapy listening socket on one interface.
 
     Args:
@@ -69,8 +62,8 @@ class Sniffer(Device):
     """
 
     def __init__(self, interface: str, expression: str | None, snap_length: int) -> None:
-        if interface not in interfaces():
-            raise missing_interface(interface)
+        if interface not in device.interfaces():
+            raise device.missing_interface(interface)
         super().__init__(linger_s=0.02, look_s=0.1)
         self.info = SourceInfo(interface, "live", time_resolution_ns=1000, snap_length=snap_length)
         self._number = 1
@@ -80,7 +73,9 @@ class Sniffer(Device):
         self._packet_socket = inner if _LINUX and isinstance(inner, socket.socket) else None
         if self._packet_socket is not None:
             self._packet_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            if find_interface(interface).loopback:  # a packet would come twice: when sent, and when received
+            if device.find_interface(
+                interface
+            ).loopback:  # a packet would come twice: when sent, and when received
                 self._packet_socket.setsockopt(_SOL_PACKET, _PACKET_IGNORE_OUTGOING, 1)
             self.count()
             self.drops = 0  # drops from before the filter was set do not count
@@ -146,7 +141,7 @@ class Sniffer(Device):
         self._socket.close()
 
 
-class ScapySource(DeviceSource):
+class ScapySource(device.DeviceSource):
     """Datagrams from an interface, captured through scapy.
 
     Args:
@@ -226,7 +221,7 @@ def _listen(
         try:
             return conf.L2listen(iface=interface, filter=attempt)
         except PermissionError:
-            raise denied(interface) from None
+            raise device.denied(interface) from None
         except Scapy_Exception as error:
             if attempt is None:
                 raise CaptureError(f"{interface}: {error}") from error

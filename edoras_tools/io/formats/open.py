@@ -11,15 +11,7 @@ from socket import if_nameindex
 from typing import TYPE_CHECKING
 
 from edoras_tools.errors import CaptureError, NoDatagramsError, OnFailure
-from edoras_tools.io.formats import table
-from edoras_tools.io.formats.capture_file import (
-    ByteStream,
-    CompressedStream,
-    FileStream,
-    SettledFile,
-    Window,
-    settled_file,
-)
+from edoras_tools.io.formats import capture_file, table
 from edoras_tools.io.formats.pcap import MAGICS, PcapSource
 from edoras_tools.wire.cfe import CFE_MAGIC
 
@@ -60,7 +52,7 @@ def open_file(path: str | Path, name: str = "") -> Source:
     try:
         if os.path.isdir(path):  # noqa: PTH112  Path raises an error at a name that no file can have
             return _open_folder(Path(path))
-        file = FileStream(_open(path), name or str(path))
+        file = capture_file.FileStream(_open(path), name or str(path))
         with OnFailure(file.close):
             stream, head, wrapped = _unpacked(file)
             return _source(stream, path, head, wrapped)
@@ -87,39 +79,39 @@ def is_cfe_file(path: Path) -> bool:
     return False
 
 
-def _unpacked(file: FileStream) -> tuple[ByteStream, bytes, str]:
+def _unpacked(file: capture_file.FileStream) -> tuple[capture_file.ByteStream, bytes, str]:
     """Return the stream inside of gzip or zstd, its first bytes, which are read, and the compression."""
     head = _head(file)
     kind = next((kind for magic, kind in _COMPRESSED.items() if head.startswith(magic)), "")
     if not kind:
         return file, head, ""
-    stream = CompressedStream(file, kind, head)
+    stream = capture_file.CompressedStream(file, kind, head)
     return stream, _head(stream), kind
 
 
-def _source(stream: ByteStream, path: str | Path, head: bytes, wrapped: str) -> Source:
+def _source(stream: capture_file.ByteStream, path: str | Path, head: bytes, wrapped: str) -> Source:
     """Make the source of a stream; ``head`` is its first bytes, ``wrapped`` the compression it had."""
     whole_file = stream.total_bytes and not wrapped and str(path) != "-"  # as a file of that name
     if not head:
         problem = f"contains only an empty {wrapped} stream" if wrapped else "is empty"
         raise CaptureError(f"{stream.name}: {problem}; a capture has at least a header")
     if head[:4] in MAGICS:
-        return PcapSource(Window(stream, head))
+        return PcapSource(capture_file.Window(stream, head))
     if head.startswith(_SECTION_HEADER):
-        return table.PCAPNG.source()(Window(stream, head))
+        return table.PCAPNG.source()(capture_file.Window(stream, head))
     if head.startswith(CFE_MAGIC):
-        return table.CFE.source()(Window(stream, head))
+        return table.CFE.source()(capture_file.Window(stream, head))
     if head.startswith(_MCAP):
         return _mcap(stream, path, b"" if whole_file else head)
     if head.startswith(_DATABASE):
         raise _database(stream, path, b"" if whole_file else head)
     for item in table.installed_formats():
         if item.magic and head.startswith(item.magic):
-            return item.source()(Window(stream, head))
+            return item.source()(capture_file.Window(stream, head))
     raise CaptureError(f"{stream.name}: {_looks_like(head, wrapped)}")
 
 
-def kept_recording(path: Path) -> SettledFile | Source:
+def kept_recording(path: Path) -> capture_file.SettledFile | Source:
     """Return a recording from a pipe as a file that can be opened again, and a capture as a source.
 
     Raises:
@@ -127,29 +119,29 @@ def kept_recording(path: Path) -> SettledFile | Source:
     """
     stream, head = unwrapped(path)
     if head.startswith((_MCAP, _DATABASE)):
-        return settled_file(stream, path, head)
+        return capture_file.settled_file(stream, path, head)
     with OnFailure(stream.close):
         return _source(stream, path, head, "")
 
 
-def unwrapped(path: Path) -> tuple[ByteStream, bytes]:
+def unwrapped(path: Path) -> tuple[capture_file.ByteStream, bytes]:
     """Open a file or pipe; return its decompressed stream, and the first bytes, which are already read.
 
     Raises:
         CaptureError: it cannot be read.
     """
-    file = FileStream(_open(path), str(path))
+    file = capture_file.FileStream(_open(path), str(path))
     with OnFailure(file.close):
         stream, head, _ = _unpacked(file)
     return stream, head
 
 
-def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:
+def _mcap(stream: capture_file.ByteStream, path: str | Path, head: bytes) -> Source:
     """Open a recording; standard input and compressed data are copied first: the index is at the end.
 
     ``head`` is the bytes already read of a stream that has to be copied; else empty.
     """
-    file = settled_file(stream, Path(path), head)
+    file = capture_file.settled_file(stream, Path(path), head)
     try:
         source: Source = table.MCAP.source()(file.path, file.name, file.copy)
     except NoDatagramsError as error:
@@ -158,12 +150,12 @@ def _mcap(stream: ByteStream, path: str | Path, head: bytes) -> Source:
     return source
 
 
-def _database(stream: ByteStream, path: str | Path, head: bytes) -> NoDatagramsError:
+def _database(stream: capture_file.ByteStream, path: str | Path, head: bytes) -> NoDatagramsError:
     """Return the error for a database, which has no datagrams; ``head`` is as for ``_mcap``."""
     error = NoDatagramsError(
         f"{stream.name}: a database holds topics and no datagrams; {table.TOPIC_READERS}"
     )
-    error.files = [settled_file(stream, Path(path), head)]
+    error.files = [capture_file.settled_file(stream, Path(path), head)]
     return error
 
 
@@ -187,7 +179,7 @@ def _open(path: str | Path) -> io.FileIO:
         raise CaptureError(f"{path}: cannot be opened: {reason}") from error
 
 
-def _head(stream: ByteStream) -> bytes:
+def _head(stream: capture_file.ByteStream) -> bytes:
     """Read the bytes of the longest magic number; fewer at the end of the stream."""
     buffer = bytearray(table.LONGEST_MAGIC)
     filled = 0

@@ -15,13 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.formats.capture_file import (
-    LARGEST_FRAME,
-    LISTENED,
-    SEARCHED,
-    CaptureFileSink,
-    RecordSource,
-)
+from edoras_tools.io.formats import capture_file
 from edoras_tools.io.frames.frame_batch import FrameBatch, walk_records
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.units import SECOND
@@ -142,7 +136,7 @@ class _Blocks(NamedTuple):
         return _Blocks(self.position[rows], self.words[rows])
 
 
-class PcapngSource(RecordSource):
+class PcapngSource(capture_file.RecordSource):
     """The datagrams of a pcapng file, from all its sections and interfaces."""
 
     unit = "the block of record"
@@ -177,7 +171,8 @@ class PcapngSource(RecordSource):
             name=self._window.stream.name,
             kind="pcapng",
             time_resolution_ns=min((item.scale.resolution_ns for item in self._seen), default=1000),
-            snap_length=max((item.snap_length for item in self._seen), default=0) or LARGEST_FRAME,
+            snap_length=max((item.snap_length for item in self._seen), default=0)
+            or capture_file.LARGEST_FRAME,
             read_with=self._read_with,
         )
 
@@ -223,8 +218,8 @@ class PcapngSource(RecordSource):
     def _next_record(self, start: int, end: int) -> int | None:
         data, dtype = self._window.data, np.dtype(f"{self._order}u4")
         last = end - _LEAST_BYTES[ENHANCED_PACKET]
-        for first in range(start, last + 1, SEARCHED):
-            places = np.arange(first, min(first + SEARCHED, last + 1))
+        for first in range(start, last + 1, capture_file.SEARCHED):
+            places = np.arange(first, min(first + capture_file.SEARCHED, last + 1))
             words = read_at(data, places, np.dtype((dtype, 6)))
             length = words[:, 1].astype(np.int64)
             sound = (words[:, 0] == ENHANCED_PACKET) & (length & 3 == 0) & (places + length <= end)
@@ -253,8 +248,8 @@ class PcapngSource(RecordSource):
     def _listened(self, at: int, length: int) -> dict[str, str]:
         """Return the ports on which our recorder listened, from the section's comment; else empty."""
         for code, value in self._options(at + 24, at + length - 4):
-            if code == _OPT_COMMENT and value.startswith(LISTENED.encode()):
-                return {"listened": value[len(LISTENED) :].decode(errors="replace")}
+            if code == _OPT_COMMENT and value.startswith(capture_file.LISTENED.encode()):
+                return {"listened": value[len(capture_file.LISTENED) :].decode(errors="replace")}
         return {}
 
     def _options(self, at: int, end: int) -> Iterator[tuple[int, bytes]]:
@@ -392,7 +387,7 @@ class PcapngSource(RecordSource):
         simple = blocks.type == SIMPLE_PACKET
         captured, original, offset = words[:, 5], words[:, 6], blocks.position + 28
         if simple.any():
-            snap_length = np.uint32(self._interfaces[0].snap_length or LARGEST_FRAME)
+            snap_length = np.uint32(self._interfaces[0].snap_length or capture_file.LARGEST_FRAME)
             available = np.minimum(blocks.length - 16, snap_length)
             original = np.where(simple, words[:, 2], original)
             captured = np.where(simple, np.minimum(original, available), captured)
@@ -423,7 +418,7 @@ _HEAD_BYTES = 28
 _TAIL_BYTES = 4
 
 
-class PcapngSink(CaptureFileSink):
+class PcapngSink(capture_file.CaptureFileSink):
     """Writes the frames of batches to a pcapng file, bit for bit."""
 
     head = 28 + 32  # section and interface

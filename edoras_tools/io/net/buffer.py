@@ -38,18 +38,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import CaptureError
-from edoras_tools.io.net.sockets import (
-    IP_PKTINFO,
-    IPV6_PKTINFO,
-    LINUX,
-    MOST_REFUSALS,
-    PACKED_BYTES,
-    SO_TIMESTAMPNS,
-    Address,
-    SendResult,
-    address_of,
-    send_one,
-)
+from edoras_tools.io.net import sockets
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -85,7 +74,7 @@ class DatagramBuffer:
         self.slots[:SLOTS, 0] = 0  # now, not at the first datagram: allocating the pages takes 20 to 40 ms
         self.length = np.zeros(SLOTS + SPARE, np.uint32)
         self.starts = np.arange(SLOTS + SPARE) * _STRIDE
-        self._names = np.zeros((SLOTS, PACKED_BYTES // 8), np.uint64)
+        self._names = np.zeros((SLOTS, sockets.PACKED_BYTES // 8), np.uint64)
         self._times = np.zeros(SLOTS, np.int64)
         self._destinations = np.zeros((SLOTS, 16), np.uint8)
         self._packed: dict[tuple[Any, ...], NDArray[np.uint64]] = {}
@@ -108,7 +97,7 @@ class DatagramBuffer:
         Raises:
             CaptureError: the socket cannot be read.
         """
-        own = address_of(opened.family, opened.getsockname()).ip
+        own = sockets.address_of(opened.family, opened.getsockname()).ip
         for slot in range(SLOTS):
             try:
                 count, ancillary, _, host = opened.recvmsg_into([self.slots[slot].data], _ANCILLARY)
@@ -140,7 +129,9 @@ class DatagramBuffer:
         """
         return self._destinations[:count, : 4 if version == 4 else 16]
 
-    def send(self, opened: socket.socket, slots: int | Integers, to: Address | None) -> SendResult:
+    def send(
+        self, opened: socket.socket, slots: int | Integers, to: sockets.Address | None
+    ) -> sockets.SendResult:
         """Send slots in order.
 
         Args:
@@ -150,18 +141,18 @@ class DatagramBuffer:
         accepted = refused = 0
         errors: dict[str, int] = {}
         for slot in range(slots) if isinstance(slots, int) else slots.tolist():
-            sent = send_one(opened, self.slots[slot, : int(self.length[slot])].data, to)
+            sent = sockets.send_one(opened, self.slots[slot, : int(self.length[slot])].data, to)
             refused += sent.refused
             for reason in sent.errors:
                 errors[reason] = errors.get(reason, 0) + 1
             if sent.full:
-                return SendResult(accepted, refused, errors, full=True)
+                return sockets.SendResult(accepted, refused, errors, full=True)
             accepted += 1
-        return SendResult(accepted, refused, errors)
+        return sockets.SendResult(accepted, refused, errors)
 
     def _pack(self, family: int, host: tuple[Any, ...]) -> NDArray[np.uint64]:
         if host not in self._packed:
-            self._packed[host] = np.frombuffer(address_of(family, host).packed, np.uint64)
+            self._packed[host] = np.frombuffer(sockets.address_of(family, host).packed, np.uint64)
         return self._packed[host]
 
 
@@ -194,7 +185,9 @@ class VectorBuffer(DatagramBuffer):
         """See ``DatagramBuffer``."""
         return self._incoming.destinations(count, version)
 
-    def send(self, opened: socket.socket, slots: int | Integers, to: Address | None) -> SendResult:
+    def send(
+        self, opened: socket.socket, slots: int | Integers, to: sockets.Address | None
+    ) -> sockets.SendResult:
         """See ``DatagramBuffer``."""
         selection = slice(0, slots) if isinstance(slots, int) else slots
         return self._outgoing.send(opened, self._base[selection], self.length[selection], to)
@@ -204,12 +197,12 @@ def _read_ancillary(ancillary: list[tuple[int, int, bytes]]) -> tuple[int, bytes
     """Return a datagram's receive time in ns and its destination address, empty if the system gave none."""
     time_ns, destination = 0, b""
     for level, kind, value in ancillary:
-        if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS:
+        if level == socket.SOL_SOCKET and kind == sockets.SO_TIMESTAMPNS:
             seconds, rest = struct.unpack("@ll", value)
             time_ns = seconds * 1_000_000_000 + rest
-        elif level == socket.IPPROTO_IP and kind == IP_PKTINFO:
+        elif level == socket.IPPROTO_IP and kind == sockets.IP_PKTINFO:
             destination = value[8:12]
-        elif level == socket.IPPROTO_IPV6 and kind == IPV6_PKTINFO:
+        elif level == socket.IPPROTO_IPV6 and kind == sockets.IPV6_PKTINFO:
             destination = value[:16]
     return time_ns or time.time_ns(), destination
 
@@ -234,7 +227,7 @@ _POINTERS_OF_64_BITS: Final = ctypes.sizeof(ctypes.c_void_p) == ctypes.sizeof(ct
 
 def usable() -> bool:
     """Return whether this system and its C library have these calls."""
-    return LINUX and _POINTERS_OF_64_BITS and hasattr(ctypes.CDLL(None), "recvmmsg")
+    return sockets.LINUX and _POINTERS_OF_64_BITS and hasattr(ctypes.CDLL(None), "recvmmsg")
 
 
 class ReceiveMany:
@@ -250,18 +243,18 @@ class ReceiveMany:
 
     def __init__(self, base: NDArray[np.uint64], size: int) -> None:
         self._call = ctypes.PyDLL(None, use_errno=True).recvmmsg
-        self._names = np.zeros((len(base), PACKED_BYTES // 8), np.uint64)
+        self._names = np.zeros((len(base), sockets.PACKED_BYTES // 8), np.uint64)
         self._control = np.zeros(len(base), _CONTROL)
         self._vectors = np.zeros(len(base), _VECTOR)
         self._vectors["base"], self._vectors["length"] = base, size
         self._headers = _headers(self._vectors)
-        self._headers["name"] = self._names.ctypes.data + np.arange(len(base)) * PACKED_BYTES
+        self._headers["name"] = self._names.ctypes.data + np.arange(len(base)) * sockets.PACKED_BYTES
         self._headers["control"] = self._control.ctypes.data + np.arange(len(base)) * _CONTROL.itemsize
         self._name_length, self._control_length = (
             self._headers["name_length"],
             self._headers["control_length"],
         )
-        self._name_length[:], self._control_length[:] = PACKED_BYTES, _CONTROL.itemsize
+        self._name_length[:], self._control_length[:] = sockets.PACKED_BYTES, _CONTROL.itemsize
         self.length = self._headers["length"]
         self._start = ctypes.c_void_p(self._headers.ctypes.data)
         self._used = 0
@@ -277,7 +270,7 @@ class ReceiveMany:
         """
         used = self._used
         if used:
-            self._name_length[:used], self._control_length[:used] = PACKED_BYTES, _CONTROL.itemsize
+            self._name_length[:used], self._control_length[:used] = sockets.PACKED_BYTES, _CONTROL.itemsize
             self._used = 0
         count: int = self._call(opened.fileno(), self._start, len(self._headers), socket.MSG_DONTWAIT, None)
         if count > 0:
@@ -319,18 +312,18 @@ class SendMany:
         self._vectors = np.zeros(most, _VECTOR)
         self._headers = _headers(self._vectors)
         self._base, self._length = self._vectors["base"], self._vectors["length"]
-        self._name = np.zeros(PACKED_BYTES, np.uint8)
+        self._name = np.zeros(sockets.PACKED_BYTES, np.uint8)
         self._first = self._headers.ctypes.data
         self._start = ctypes.c_void_p(self._first)
-        self._to: Address | None = None
+        self._to: sockets.Address | None = None
 
     def send(
         self,
         opened: socket.socket,
         base: NDArray[np.uint64],
         length: NDArray[np.integer[Any]],
-        to: Address | None = None,
-    ) -> SendResult:
+        to: sockets.Address | None = None,
+    ) -> sockets.SendResult:
         """Send datagrams in order.
 
         Args:
@@ -351,17 +344,17 @@ class SendMany:
                 sent, again = sent + count, 0
                 continue
             number = ctypes.get_errno()
-            if number == errno.ECONNREFUSED and again < MOST_REFUSALS:
+            if number == errno.ECONNREFUSED and again < sockets.MOST_REFUSALS:
                 refused, again = refused + 1, again + 1
             elif number in {errno.EAGAIN, errno.ENOBUFS}:
-                return SendResult(sent, refused, errors, full=True)
+                return sockets.SendResult(sent, refused, errors, full=True)
             elif number != errno.EINTR:
                 reason = os.strerror(number)
                 errors[reason] = errors.get(reason, 0) + 1
                 sent, again = sent + 1, 0
-        return SendResult(sent, refused, errors)
+        return sockets.SendResult(sent, refused, errors)
 
-    def _address(self, to: Address | None) -> None:
+    def _address(self, to: sockets.Address | None) -> None:
         self._to = to
         self._headers["name"] = 0 if to is None else self._name.ctypes.data
         self._headers["name_length"] = 0 if to is None else to.length

@@ -22,28 +22,12 @@ from msgspec.structs import replace
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.io.frames.linklayer import Demux
-from edoras_tools.io.net.transmit import (
-    Listener,
-    StreamTransmitter,
-    Transmitter,
-    UdpWire,
-    Wire,
-    precise_timing,
-)
+from edoras_tools.io.net import transmit
 from edoras_tools.links.table import carrying, protocol
 from edoras_tools.model import NO_MSG_ID, Endpoint, Link, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.capture.record import FLUSH_NS, Target, open_sink
 from edoras_tools.pipelines.recorder import PushedSource
-from edoras_tools.pipelines.sending.loop import (
-    Sending,
-    SendReport,
-    SendSchedule,
-    conditions,
-    count_known,
-    in_order,
-    leaves_at_once,
-    only_enables,
-)
+from edoras_tools.pipelines.sending import loop
 from edoras_tools.pipelines.sending.options import Receiver, Role, SendOptions, check_allowed
 from edoras_tools.pipelines.sending.responses import AwaitedResults, Responses
 from edoras_tools.sessions.sbn import CLIENT, PUBLIC_BRIDGE, TCP_CLIENT, SbnConnection
@@ -86,7 +70,7 @@ class SentRecording:
         CaptureError: the recording cannot be written.
     """
 
-    def __init__(self, wire: Wire, target: Target, bench: Workbench) -> None:
+    def __init__(self, wire: transmit.Wire, target: Target, bench: Workbench) -> None:
         self.now, self.ends = wire.now, wire.ends
         self._wire, self._bench = wire, bench
         self._source = PushedSource(SourceInfo(f"sent to {wire.ends[1]}", "replay"), SourceStatistics())
@@ -235,7 +219,7 @@ class Transmission(NamedTuple):
         subscribed = {route.msg_id for route in mission.routes if route.link.peers and not route.to_cfs}
         out = loaded.out
         table = options.pacing(out, mission).timetable(out.time_ns, out.msg_id)
-        ready = changes.once(in_order(out, table))
+        ready = changes.once(loop.in_order(out, table))
         check_allowed(ready, options.allow, mission)
         builds = ready.headers[(ready.msg_id != NO_MSG_ID) & ready.command]
         for headers in (cfe.WITH_EXTENDED, cfe.WITH_EXTENDED_2):
@@ -282,12 +266,12 @@ class Transmission(NamedTuple):
         *,
         faults: FaultMachine | None = None,
         keys: Keys | None = None,
-        watcher: Watcher[SendReport] | None = None,
-        recording: Callable[[Wire], SentRecording] | None = None,
+        watcher: Watcher[loop.SendReport] | None = None,
+        recording: Callable[[transmit.Wire], SentRecording] | None = None,
         expected: AwaitedResults | None = None,
         ready: Callable[[Endpoint], None] = lambda _: None,
-        wire: Wire | None = None,
-    ) -> SendReport:
+        wire: transmit.Wire | None = None,
+    ) -> loop.SendReport:
         """Open the sockets and send.
 
         Args:
@@ -305,7 +289,7 @@ class Transmission(NamedTuple):
         """
         options = self.options
         assert options.target is not None
-        report = SendReport(
+        report = loop.SendReport(
             Responses(self.mission, expected),
             self.total,
             self.table.rate_hz,
@@ -320,7 +304,7 @@ class Transmission(NamedTuple):
             recorded = recording(wire) if recording else None
             wire = recorded or wire
             session = self._session(wire.now())
-            sending = Sending(
+            sending = loop.Sending(
                 wire,
                 self._schedule(),
                 report,
@@ -331,8 +315,8 @@ class Transmission(NamedTuple):
                 watcher=watcher,
             )
             ready(local)
-            stack.enter_context(precise_timing())
-            wait_for = conditions(
+            stack.enter_context(transmit.precise_timing())
+            wait_for = loop.conditions(
                 self.out,
                 options,
                 self.mission,
@@ -341,7 +325,7 @@ class Transmission(NamedTuple):
                 wire=wire,
                 local=local,
             )
-            wait_for = chain(wait_for, count_known(self.out, options, report.responses, wire))
+            wait_for = chain(wait_for, loop.count_known(self.out, options, report.responses, wire))
             sending.run(wait_for, options.timeout_ns)
         if options.to.sending and options.to.sending.session:
             report.notes += options.to.sending.session.notes()
@@ -359,21 +343,21 @@ class Transmission(NamedTuple):
         """Yield reasons why nothing shows whether cFS read the datagrams sent to CI."""
         if not responses.telemetry:
             advice = "usually Telemetry Output is not enabled: edoras inject to-enable"
-            if only_enables(self.out, self.options.headers):
+            if loop.only_enables(self.out, self.options.headers):
                 advice = "Telemetry Output may answer later: listen longer with --linger 10s"
             yield (
                 f"no telemetry came to {local}, so nothing can answer, and nothing shows whether cFS read "
                 f"what was sent; {advice}"
             )
-        elif responses.ingest.summary()["state"] == "unknown" and leaves_at_once(self.out, self.options):
+        elif responses.ingest.summary()["state"] == "unknown" and loop.leaves_at_once(self.out, self.options):
             yield (
                 "whether Command Ingest read it is not known; --max-loss 0 waits for its count "
                 "before and after"
             )
 
-    def _schedule(self) -> SendSchedule:
+    def _schedule(self) -> loop.SendSchedule:
         options = self.options
-        return SendSchedule(
+        return loop.SendSchedule(
             str(options.target),
             self.out,
             self.table,
@@ -395,7 +379,9 @@ class Transmission(NamedTuple):
         return SbnConnection(self.options.identity(self.mission), self.subscriptions, habits=habits, now=now)
 
 
-def open_wire(options: SendOptions, stack: ExitStack, keys: Keys | None = None) -> tuple[Wire, Endpoint]:
+def open_wire(
+    options: SendOptions, stack: ExitStack, keys: Keys | None = None
+) -> tuple[transmit.Wire, Endpoint]:
     """Open the sockets; return them as a wire, with the address that receives answers.
 
     Args:
@@ -408,16 +394,16 @@ def open_wire(options: SendOptions, stack: ExitStack, keys: Keys | None = None) 
     """
     transmitter = _transmitter(options)
     stack.enter_context(transmitter)
-    listeners: list[tuple[Link, Listener]] = []
+    listeners: list[tuple[Link, transmit.Listener]] = []
     if options.listen is not None and not (options.to is Receiver.SBN or options.to.sending):
-        listener = stack.enter_context(Listener(options.listen))
+        listener = stack.enter_context(transmit.Listener(options.listen))
         listeners.append((carrying("ground", to_cfs=options.to is not Receiver.CI), listener))
     local = listeners[0][1].local if listeners else transmitter.local
     if options.events is not None:
         with suppress(CaptureError):  # a bridge that has the port gets the events
-            listener = stack.enter_context(Listener(options.events))
+            listener = stack.enter_context(transmit.Listener(options.events))
             listeners.append((carrying("ground", to_cfs=False), listener))
-    return UdpWire(transmitter, options.to.link, listeners, [keys.fileno()] if keys else ()), local
+    return transmit.UdpWire(transmitter, options.to.link, listeners, [keys.fileno()] if keys else ()), local
 
 
 def _transmitter(options: SendOptions) -> Any:
@@ -432,6 +418,6 @@ def _transmitter(options: SendOptions) -> Any:
         return sending.transmitter(options.target)
     framing = sending.framing if sending else protocol(options.to.link).framing if options.tcp else None
     if framing is not None:
-        return StreamTransmitter(options.target, framing)
+        return transmit.StreamTransmitter(options.target, framing)
     answered = options.to is Receiver.SBN or sending is not None
-    return Transmitter(options.target, options.listen if answered else None)
+    return transmit.Transmitter(options.target, options.listen if answered else None)

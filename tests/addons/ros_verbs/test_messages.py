@@ -5,7 +5,7 @@ import pytest
 from mcap.reader import make_reader
 from places import SAMPLES
 
-from edoras_tools.addons.ros_verbs.messages import (
+from edoras_tools.addons.ros_verbs.playing import (
     MessageBlock,
     TopicFigures,
     rate_table,

@@ -12,8 +12,8 @@ from waiting import until
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.linklayer import demux
-from edoras_tools.io.net import buffer, sockets
 from edoras_tools.io.net import receive as udp
+from edoras_tools.io.net import sockets
 from edoras_tools.io.net.receive import Sockets, UdpSource
 from edoras_tools.model import Endpoint
 
@@ -237,7 +237,6 @@ def test_ready_and_silence(listen):
 def test_another_system(listen, monkeypatch):
     # Without Linux's extras the time is taken here and the destination is what was bound.
     monkeypatch.setattr(sockets, "LINUX", False)
-    monkeypatch.setattr(buffer, "LINUX", False)
     source = listen(LOCAL)
     before = time.time_ns()
     send(source.endpoints[0], b"x")

@@ -16,17 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.addons.databases.placement import (
-    NESTING,
-    DataType,
-    Node,
-    Notes,
-    Placement,
-    SheetError,
-    c_name,
-    has_root,
-    parse_document,
-)
+from edoras_tools.addons.databases import placement
 from edoras_tools.addons.databases.xtce.types import (
     SYSTEM,
     TYPE_KINDS,
@@ -83,7 +73,7 @@ _FUNCTION_CODES: Final = {8: 49, 12: 49, 16: 81}
 """First bit of the function code, by the size of a command's header: 16 bytes have the extended header."""
 _ODD: Final = frozenset({"BooleanExpression", "CustomAlgorithm"})
 """Conditions that are no comparisons."""
-_NOTHING: Final = DataType(BASIC["byte"], 8)
+_NOTHING: Final = placement.DataType(BASIC["byte"], 8)
 _MOST_TAIL: Final = 1 << 16
 _HIGHEST: Final = 0x1FFF
 """The highest MsgId of version 1."""
@@ -102,8 +92,8 @@ class _Slot(NamedTuple):
     name: str
     key: str
     bit: int
-    data_type: DataType
-    entry: Node
+    data_type: placement.DataType
+    entry: placement.Node
     fixed: int | None = None
 
     @property
@@ -125,7 +115,7 @@ class _Content(msgspec.Struct):
 
     slots: list[_Slot] = msgspec.field(default_factory=list)
     own: int | None = None
-    stop: tuple[Node, str] | None = None
+    stop: tuple[placement.Node, str] | None = None
     more: bool = False
     values: dict[str, int] = msgspec.field(default_factory=dict)
     odd: bool = False
@@ -138,7 +128,7 @@ class _Content(msgspec.Struct):
 
 def is_system(data: bytes) -> bool:
     """Return whether a file is a space system of XTCE."""
-    return has_root(data, SYSTEM)
+    return placement.has_root(data, SYSTEM)
 
 
 def read_systems(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) -> StructLayout:
@@ -153,16 +143,16 @@ def read_systems(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) 
     """
     if flags:
         raise ConfigError(f"--cflag: {flags[0]!r} says nothing of XTCE; leave it out")
-    notes = Notes()
+    notes = placement.Notes()
     roots = []
-    for root in (parse_document(*file) for file in files):
+    for root in (placement.parse_document(*file) for file in files):
         if root.tag == SYSTEM:
             roots.append(root)
             notes.unread(root, _READ, _QUIET)
         else:
             notes.add(root, f"{root.tag} is no space system")
     names = Declarations(roots, notes)
-    before = Notes(notes)
+    before = placement.Notes(notes)
     reader = _Reader(names, "big", notes)
     orders = reader.orders(reader.contents)
     if orders["little"] > orders["big"]:
@@ -185,7 +175,7 @@ class _Reader:
         contents: known structure of each container and each command, by kind and path.
     """
 
-    def __init__(self, names: Declarations, order: ByteOrder, notes: Notes) -> None:
+    def __init__(self, names: Declarations, order: ByteOrder, notes: placement.Notes) -> None:
         self._names, self._order, self._notes = names, order, notes
         self._types = ValueTypes(names, order, notes)
         self.contents = dict(self._contents())
@@ -251,7 +241,7 @@ class _Reader:
             for item in self._names.all(kind):
                 try:
                     yield (kind, item.path), (item, self._content(item))
-                except SheetError as error:
+                except placement.SheetError as error:
                     self._notes.add(item.node, f"{item.path}: {error}")
 
     def _conditional(self, content: _Content) -> bool:
@@ -273,8 +263,8 @@ class _Reader:
         content = _Content()
         chain = [item]
         while base := self._base(chain[-1]):
-            if len(chain) > NESTING or base in chain:
-                raise SheetError("it is based on itself")
+            if len(chain) > placement.NESTING or base in chain:
+                raise placement.SheetError("it is based on itself")
             chain.append(base)
         for own in reversed(chain):
             begin, holder = content.end, own.node
@@ -305,7 +295,7 @@ class _Reader:
                         kind = self._names.type_of("argument", argument, other.system)
                         content.values[name] = self._value(kind, text, node)
 
-    def _restrict(self, item: Declared, holder: Node, content: _Content) -> None:
+    def _restrict(self, item: Declared, holder: placement.Node, content: _Content) -> None:
         """Store the values that a container's conditions require."""
         for base in holder.inside("BaseContainer", "RestrictionCriteria"):
             for node in base.walk():
@@ -318,34 +308,34 @@ class _Reader:
                 for name in member.split("/")[1:]:
                     members = {each.name: each for each in kind.node.inside("MemberList", "Member")}
                     if name not in members:
-                        raise SheetError(f"{node.required('parameterRef')} is no parameter")
+                        raise placement.SheetError(f"{node.required('parameterRef')} is no parameter")
                     kind = self._names.find(kind.kind, members[name].required("typeRef"), kind.system)
                 content.values[declared.path + member] = self._value(kind, node.required("value"), node)
 
-    def _value(self, kind: Declared, text: str, node: Node) -> int:
+    def _value(self, kind: Declared, text: str, node: placement.Node) -> int:
         """Return the number of a text in a condition or an assignment."""
         self._types.find(kind)
         labels = self._types.labels.get(kind.path, {})
         return labels[text] if text in labels else int(number(node, text))
 
-    def _entries(self, item: Declared, holder: Node, content: _Content, depth: int = 0) -> None:
+    def _entries(self, item: Declared, holder: placement.Node, content: _Content, depth: int = 0) -> None:
         """Append the entries of a container, until one has no fixed position."""
         for entry in (node for each in holder.inside("EntryList") for node in each.children):
             if content.stop is not None:
                 content.more = True
                 return
-            if len(content.slots) > _MOST_SLOTS or depth > NESTING:
-                raise SheetError("it has more entries than any packet")
+            if len(content.slots) > _MOST_SLOTS or depth > placement.NESTING:
+                raise placement.SheetError("it has more entries than any packet")
             try:
                 self._entry(item, entry, content, depth)
-            except SheetError as error:
+            except placement.SheetError as error:
                 content.stop = entry, str(error)
 
-    def _entry(self, item: Declared, entry: Node, content: _Content, depth: int) -> None:
+    def _entry(self, item: Declared, entry: placement.Node, content: _Content, depth: int) -> None:
         bit = self._location(entry, content.end)
         for tag in ("IncludeCondition", "RepeatEntry"):
             if next(entry.inside(tag), None) is not None:
-                raise SheetError(f"{tag}: what follows has no fixed place")
+                raise placement.SheetError(f"{tag}: what follows has no fixed place")
         if entry.tag == "ContainerRefEntry":
             inner = self._names.find("container", entry.required("containerRef"), item.system)
             content.slots.append(_Slot("", "", bit, replace(_NOTHING, bits=0), entry, 0))
@@ -355,20 +345,20 @@ class _Reader:
             digits = entry.required("binaryValue")
             bits = int(number(entry, entry.required("sizeInBits")))
             if not 0 < bits <= 1 << 16 or not re.fullmatch(r"[0-9A-Fa-f]*", digits):
-                raise SheetError("FixedValueEntry is no hexadecimal number of so many bits")
+                raise placement.SheetError("FixedValueEntry is no hexadecimal number of so many bits")
             value = int(digits or "0", 16) & ((1 << bits) - 1)
             content.slots.append(_Slot(entry.name, "", bit, replace(_NOTHING, bits=bits), entry, value))
             return
         role = entry.tag.removesuffix("RefEntry").removeprefix("Array").lower()
         if role not in {"parameter", "argument"} or not entry.tag.endswith("RefEntry"):
-            raise SheetError(f"{entry.tag} is not read")
+            raise placement.SheetError(f"{entry.tag} is not read")
         declared = self._look_up(role, entry.required(f"{role}Ref"), item)
         kind = self._names.type_of(role, declared.node, declared.system)
         data_type = self._types.find(kind)
         if entry.tag.startswith("Array") and not data_type.dims:
             dims = self._types.dimensions(entry)
             data_type = replace(data_type, dims=dims or (), variable=dims is None)
-        name = c_name(declared.node.name.removeprefix(f"{item.node.name}_"))
+        name = placement.c_name(declared.node.name.removeprefix(f"{item.node.name}_"))
         doc = declared.node.doc or data_type.like.doc
         if _plain(doc) == _plain(name):
             doc = ""
@@ -388,9 +378,9 @@ class _Reader:
                 if node.name == name:
                     return Declared("argument", f"{command.system}/{name}", node)
             command = self._base(command)
-        raise SheetError(f"argument {name} is in none of these files")
+        raise placement.SheetError(f"argument {name} is in none of these files")
 
-    def _location(self, entry: Node, end: int) -> int:
+    def _location(self, entry: placement.Node, end: int) -> int:
         """Return the first bit of an entry; ``end`` is the end of the previous one."""
         holder = next(entry.inside("LocationInContainerInBits"), None)
         if holder is None:
@@ -398,10 +388,10 @@ class _Reader:
         place = holder.attributes.get("referenceLocation", "previousEntry")
         offset = fixed_value(holder)
         if offset is None or place not in {"previousEntry", "containerStart"}:
-            raise SheetError(f"its place is counted from {place}, or is in the packet")
+            raise placement.SheetError(f"its place is counted from {place}, or is in the packet")
         bit = offset + (end if place == "previousEntry" else 0)
         if bit < 0:
-            raise SheetError(f"bit {bit} is before the packet")
+            raise placement.SheetError(f"bit {bit} is before the packet")
         return bit
 
     def _key(self, item: Declared, content: _Content) -> tuple[Key | None, int]:
@@ -445,7 +435,7 @@ class _Reader:
         Args:
             parted: whether some packets have further entries, by a condition.
         """
-        maker, path, last = Placement(self._order, machine=False), item.path, content.slots[-1:]
+        maker, path, last = placement.Placement(self._order, machine=False), item.path, content.slots[-1:]
         end = 0
         for slot in _joined(content.slots):
             bit = slot.bit - header

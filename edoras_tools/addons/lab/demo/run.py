@@ -14,21 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from edoras_tools import doors
-from edoras_tools.addons.lab.demo.nodes import (
-    LAYOUTS,
-    AppRobot,
-    CallScheduler,
-    GroundStation,
-    Leg,
-    RobotNode,
-    Trace,
-    commands,
-    free_ports,
-    lanes_of,
-    make_robot,
-    profile,
-    write_missions,
-)
+from edoras_tools.addons.lab.demo import nodes
 from edoras_tools.addons.lab.emulator import BOOT_NS, Scenario, Served, Simulation
 from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp
 from edoras_tools.cfs.edoras_app import PIPE
@@ -177,7 +163,7 @@ class Demo:
         self.event_counts: Counter[str] = Counter()
         self.layout = plan.output.with_name(f"{plan.output.stem}_layout.json")
         layout = {
-            self.layout: (files("edoras_tools.samples") / f"{LAYOUTS[plan.scenario]}.json").read_bytes()
+            self.layout: (files("edoras_tools.samples") / f"{nodes.LAYOUTS[plan.scenario]}.json").read_bytes()
         }
         to_write(layout, force=plan.replace)
         self._say = say
@@ -288,11 +274,11 @@ class Demo:
 
     def _open(self, stack: ExitStack, folder: Path, target: Target) -> None:
         plan = self.plan
-        self.ports = free_ports()
-        paths = write_missions(plan.scenario, folder, self.ports, plan.max_rate)
+        self.ports = nodes.free_ports()
+        paths = nodes.write_missions(plan.scenario, folder, self.ports, plan.max_rate)
         bridged = plan_bridges(Settings(paths, plan.distro), BridgeRequest())
-        self.lanes = lanes_of(plan.scenario, [item.bridge for item in bridged.stations])
-        self.trace = Trace(self.lanes)
+        self.lanes = nodes.lanes_of(plan.scenario, [item.bridge for item in bridged.stations])
+        self.trace = nodes.Trace(self.lanes)
         self._types = bridged.types
         self.simulation = self._boot()
         bench = bridged.workbench()
@@ -312,14 +298,14 @@ class Demo:
         stack.callback(self.bridges.close)
         if len(self.bridges.stations) < len(bridged.stations):
             raise CaptureError(self.bridges.notes[-1])
-        self._scheduler = CallScheduler()
+        self._scheduler = nodes.CallScheduler()
         self._start_nodes(stack)
         stack.callback(self._scheduler.close)
 
     def _boot(self) -> Simulation:
         """Return a cFS that has booted, with a counted robot if its application contains one."""
         simulation = Simulation(
-            profile(self.ports, [lane.state.msg_id for lane in self.lanes]),
+            nodes.profile(self.ports, [lane.state.msg_id for lane in self.lanes]),
             self.plan.scenario,
             start_ns=time.time_ns() - BOOT_NS,
             bridges=False,
@@ -327,18 +313,23 @@ class Demo:
         simulation.cfs.listener = self._event
         app = simulation.apps.edoras
         if isinstance(app, SingleRobotApp):
-            robot = make_robot(self.lanes[0], 0)
-            app.robot = AppRobot(robot, self.trace.commands[0], self.trace.states[0], self._types)
+            robot = nodes.make_robot(self.lanes[0], 0)
+            app.robot = nodes.AppRobot(robot, self.trace.commands[0], self.trace.states[0], self._types)
         return simulation
 
     def _start_nodes(self, stack: ExitStack) -> None:
         """Let the ground station and the robots join the graph."""
         trace, types, scheduler = self.trace, self._types, self._scheduler
-        self.station = GroundStation(self.lanes, trace, self.plan.command_hz, types, scheduler)
+        self.station = nodes.GroundStation(self.lanes, trace, self.plan.command_hz, types, scheduler)
         self.station.join(self._node(stack, "ground_station"))
         self.robots = [
-            RobotNode(
-                lane, make_robot(lane, index), trace.commands[index], trace.states[index], types, scheduler
+            nodes.RobotNode(
+                lane,
+                nodes.make_robot(lane, index),
+                trace.commands[index],
+                trace.states[index],
+                types,
+                scheduler,
             )
             for index, lane in enumerate(self.lanes)
             if lane.board_command
@@ -354,7 +345,7 @@ class Demo:
 
     def _show(self, stack: ExitStack, bench: Workbench, where: Endpoint) -> None:
         """Serve everything to Foxglove, and accept commands from there."""
-        publisher = commands(self.lanes, self._types, self._node(stack, "foxglove"))
+        publisher = nodes.commands(self.lanes, self._types, self._node(stack, "foxglove"))
         info = SourceInfo(f"emulated {self.plan.scenario}", "demo")
         attach = doors.part("foxglove").attach
         sink: DisplaySink = attach(bench, info, listen=where, publisher=publisher)
@@ -398,7 +389,7 @@ class Demo:
             "states": state,
         }
 
-    def _leg(self, leg: Leg, first: Any, last: Any, bridges: Mapping[str, Any]) -> dict[str, Any]:
+    def _leg(self, leg: nodes.Leg, first: Any, last: Any, bridges: Mapping[str, Any]) -> dict[str, Any]:
         """Return the counts between two routes; one is None if the path ends at the application."""
         losses: Counter[str] = Counter()
         for (msg_id, pipe), number in dict(self.simulation.cfs.bus.losses).items():

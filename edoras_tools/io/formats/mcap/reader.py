@@ -42,15 +42,8 @@ from edoras_tools.io.formats.mcap.messages import scanned
 from edoras_tools.io.formats.table import TOPIC_READERS
 from edoras_tools.io.frames.frame_batch import FrameBatch, frames_at, joined_frames, packed_frames
 from edoras_tools.io.frames.linklayer import FrameSource
+from edoras_tools.io.topics import messages
 from edoras_tools.io.topics.edoras import FAULTS_TOPIC, HOST_TOPIC, fault_of, host_counters_of
-from edoras_tools.io.topics.messages import (
-    CDR_LE_WORD,
-    COUNTS_METADATA_NAME,
-    DATAGRAM,
-    DATAGRAMS_TOPIC,
-    MAGIC,
-    OUTAGE_METADATA_NAME,
-)
 from edoras_tools.links.table import links
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
@@ -152,7 +145,7 @@ class McapSource(FrameSource):
         failure: CaptureError | None = None
         stray = bytearray()
         parts: list[FrameBatch] = []
-        position = len(MAGIC)
+        position = len(messages.MAGIC)
         ended = False
         size = idle = 0
         needed: list[int] | None = None if self._chosen is None else self._holding(self._chosen)
@@ -200,8 +193,8 @@ class McapSource(FrameSource):
 
     def _wrong_end(self, position: int, *, ended: bool) -> CaptureError | None:
         if ended:
-            return None if DATAGRAMS_TOPIC in self._topics.values() else self._no_datagrams()
-        has_end = self._read(self._size - len(MAGIC), self._size) == MAGIC
+            return None if messages.DATAGRAMS_TOPIC in self._topics.values() else self._no_datagrams()
+        has_end = self._read(self._size - len(messages.MAGIC), self._size) == messages.MAGIC
         return CaptureError(
             f"{self._name}: is {'damaged' if has_end else 'cut off'} at byte {position} of {self._size}; "
             "everything before was read; "
@@ -335,7 +328,7 @@ class McapSource(FrameSource):
 
     @property
     def _datagrams(self) -> set[int]:
-        return {key for key, topic in self._topics.items() if topic == DATAGRAMS_TOPIC}
+        return {key for key, topic in self._topics.items() if topic == messages.DATAGRAMS_TOPIC}
 
     @property
     def _total(self) -> int:
@@ -364,7 +357,7 @@ class McapSource(FrameSource):
 
     def _listed(self) -> bool:
         """Return whether the summary's checksum is right; a summary without one is accepted."""
-        start, end = self._data_end + _DATA_END.size, self._size - len(MAGIC) - _CRC.size
+        start, end = self._data_end + _DATA_END.size, self._size - len(messages.MAGIC) - _CRC.size
         (value,) = _CRC.unpack(self._pread(end, _CRC.size))
         return value in {0, self._checksum(start, end)}
 
@@ -377,7 +370,7 @@ class McapSource(FrameSource):
 
     def recorder_counts(self) -> str:
         """See ``SourceDefaults``; the checksums of all bytes before the summary are compared."""
-        values = self._metadata.get(COUNTS_METADATA_NAME, {})
+        values = self._metadata.get(messages.COUNTS_METADATA_NAME, {})
         if values.get("version") != __version__ or not self._data_end:
             return ""
         covered, end = min(_positive(values, "covers", 0), self._data_end), self._data_end
@@ -427,15 +420,17 @@ class McapSource(FrameSource):
         if offsets is None:
             offsets = self._walk(data)
         damaged = CaptureError(f"{self._name}: the chunk at byte {place} is damaged and was left out")
-        if len(offsets) and (int(offsets.min()) < 0 or int(offsets.max()) + DATAGRAM.itemsize > len(data)):
+        if len(offsets) and (
+            int(offsets.min()) < 0 or int(offsets.max()) + messages.DATAGRAM.itemsize > len(data)
+        ):
             raise damaged
-        heads = read_at(data, offsets, DATAGRAM)
-        room = heads["record_length"].astype(np.int64) + (RECORD_HEAD.size - DATAGRAM.itemsize)
+        heads = read_at(data, offsets, messages.DATAGRAM)
+        room = heads["record_length"].astype(np.int64) + (RECORD_HEAD.size - messages.DATAGRAM.itemsize)
         length = heads["frame_length"].astype(np.int64)
-        start = offsets + DATAGRAM.itemsize
+        start = offsets + messages.DATAGRAM.itemsize
         sound = (
             (heads["opcode"] == Opcode.MESSAGE)
-            & (heads["encapsulation"] & _KIND == CDR_LE_WORD)
+            & (heads["encapsulation"] & _KIND == messages.CDR_LE_WORD)
             & (length <= room)
             & (start + length <= len(data))
         )
@@ -472,7 +467,7 @@ class McapSource(FrameSource):
                 self._learn(opcode, bytes(view[start:end]))
             elif opcode == Opcode.MESSAGE and length >= 2:
                 channel_id = int.from_bytes(view[start : start + 2], "little")
-                if self._topics.get(channel_id) == DATAGRAMS_TOPIC:
+                if self._topics.get(channel_id) == messages.DATAGRAMS_TOPIC:
                     positions.append(position)
             position = end
         return np.array(positions, dtype=np.int64)
@@ -499,7 +494,7 @@ class McapSource(FrameSource):
             # one.
             if channel_id not in self._topics:
                 return None, end
-            if self._topics[channel_id] == DATAGRAMS_TOPIC:
+            if self._topics[channel_id] == messages.DATAGRAMS_TOPIC:
                 entries = self._read(start + INDEX_HEAD.itemsize - RECORD_HEAD.size, end)
                 listed = np.frombuffer(entries, INDEX_ENTRY, len(entries) // INDEX_ENTRY.itemsize)
                 parts.append(listed["offset"].astype(np.int64))
@@ -509,12 +504,12 @@ class McapSource(FrameSource):
         return np.sort(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.int64), position
 
     def _check(self, *, whole: bool) -> None:
-        if self._read(0, len(MAGIC)) != MAGIC:
+        if self._read(0, len(messages.MAGIC)) != messages.MAGIC:
             raise CaptureError(f"{self._name}: is not an MCAP file")
-        if not whole and DATAGRAMS_TOPIC not in self._topics.values():
+        if not whole and messages.DATAGRAMS_TOPIC not in self._topics.values():
             self._scan_topics()
             whole = bool(self._topics)
-        if whole and DATAGRAMS_TOPIC not in self._topics.values():
+        if whole and messages.DATAGRAMS_TOPIC not in self._topics.values():
             raise self._no_datagrams()
 
     def _scan_topics(self) -> None:
@@ -523,12 +518,12 @@ class McapSource(FrameSource):
             for record in scanned(self._path, self._name):
                 if isinstance(record, Channel):
                     self._topics[record.id] = record.topic
-                    if record.topic == DATAGRAMS_TOPIC:
+                    if record.topic == messages.DATAGRAMS_TOPIC:
                         return
 
     def _read_front(self) -> bool:
         """Read the records before the first message, and the summary; return whether there is a summary."""
-        position, idle = len(MAGIC), 0
+        position, idle = len(messages.MAGIC), 0
         while idle < MOST_IDLE and (record := self._prefix(position)) is not None:
             opcode, start, end = record
             idle += 1
@@ -537,8 +532,8 @@ class McapSource(FrameSource):
             self._remember(opcode, start, end)
             position = end
         footer = RECORD_HEAD.size + 20
-        tail = self._size - len(MAGIC) - footer
-        if tail < position or self._read(self._size - len(MAGIC), self._size) != MAGIC:
+        tail = self._size - len(messages.MAGIC) - footer
+        if tail < position or self._read(self._size - len(messages.MAGIC), self._size) != messages.MAGIC:
             return False
         summary = int.from_bytes(self._read(tail + RECORD_HEAD.size, tail + RECORD_HEAD.size + 8), "little")
         if not 0 < summary <= tail:
@@ -598,7 +593,7 @@ class McapSource(FrameSource):
                 self._counts = Statistics.read(stream).channel_message_counts
             elif opcode == Opcode.METADATA:
                 record = Metadata.read(stream)
-                if record.name == OUTAGE_METADATA_NAME:
+                if record.name == messages.OUTAGE_METADATA_NAME:
                     self._note(model.InterfaceOutage.from_text(record.metadata))
                 if record.name not in self._metadata and "kernel_drops" in record.metadata:
                     before = self.statistics.kernel_drops or 0
@@ -644,8 +639,8 @@ class McapSource(FrameSource):
     def _no_datagrams(self) -> CaptureError:
         topics = ", ".join(sorted(set(self._topics.values()))) or "none"
         return NoDatagramsError(
-            f"{self._name}: contains no {DATAGRAMS_TOPIC}, so no datagrams can be read, and its topics are "
-            f"{topics}; {TOPIC_READERS}"
+            f"{self._name}: contains no {messages.DATAGRAMS_TOPIC}, so no datagrams can be read, and its "
+            f"topics are {topics}; {TOPIC_READERS}"
         )
 
 

@@ -10,13 +10,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Final
 
-from edoras_tools.addons.lab.emulator.messages import (
-    FixedStruct,
-    bus_id,
-    command_length,
-    pose_stamped,
-    whole_packet,
-)
+from edoras_tools.addons.lab.emulator import messages
 from edoras_tools.addons.lab.emulator.scheduler import Receive, SleepUntil, Work
 from edoras_tools.cfs.event_services import EventText, EventType
 from edoras_tools.cfs.profile import GENERATOR_MSG_ID
@@ -69,19 +63,19 @@ class Generator:
 
     def _run(self) -> Task:
         while self._cfs.executive.run_loop(NAME):
-            packet = whole_packet((yield Receive(self._pipe)))
+            packet = messages.whole_packet((yield Receive(self._pipe)))
             code, payload = function_code_of(packet), packet[8:]
             if code == SET and len(payload) >= _COMMAND.size:
                 self._set(*_COMMAND.unpack_from(payload))
             elif code == _NO_OP_CODE:
                 self._cfs.say(_NO_OP)
             else:
-                length = command_length(len(packet), self._cfs.profile)
+                length = messages.command_length(len(packet), self._cfs.profile)
                 self._cfs.say(_BAD_COMMAND, code=code, length=length)
             yield Work(self._cfs.profile.work_ns)
 
     def _set(self, slot: int, number: int, rate: int, kind: int, length: int) -> None:
-        msg_id = bus_id(number, self._cfs.profile)
+        msg_id = messages.bus_id(number, self._cfs.profile)
         reason = _refusal(slot, msg_id, kind, length) if rate or slot >= _SLOTS else ""
         if reason:
             self._cfs.say(_REFUSED, slot=slot, reason=reason)
@@ -93,12 +87,12 @@ class Generator:
 
     def _generate(self, slot: int, turn: int, msg_id: int, rate: int, kind: int, length: int) -> Task:
         cfs = self._cfs
-        struct_ = FixedStruct(length, cfs.routes.envelope(msg_id))
+        struct_ = messages.FixedStruct(length, cfs.routes.envelope(msg_id))
         first, count = cfs.scheduler.now + _FIRST_NS, 0
         yield SleepUntil(first)
         while self._round[slot] == turn and cfs.executive.run_loop(NAME):
             if kind == POSE_STAMPED_KIND:
-                struct_.put(pose_stamped(cfs.scheduler.now, "world", float(count), 0.0, 0.0))
+                struct_.put(messages.pose_stamped(cfs.scheduler.now, "world", float(count), 0.0, 0.0))
             cfs.telemetry(msg_id, struct_.data, TASK)
             yield Work(cfs.profile.work_ns)
             count += 1

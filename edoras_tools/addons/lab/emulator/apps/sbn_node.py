@@ -11,15 +11,8 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 from msgspec.structs import replace
 
+from edoras_tools.addons.lab.emulator import messages
 from edoras_tools.addons.lab.emulator.account import Fifo, socket
-from edoras_tools.addons.lab.emulator.messages import (
-    bus_id,
-    command_length,
-    from_link,
-    link_id,
-    to_link,
-    whole_packet,
-)
 from edoras_tools.addons.lab.emulator.scheduler import Receive, Work
 from edoras_tools.cfs import sbn as facts
 from edoras_tools.cfs import table_services
@@ -203,7 +196,7 @@ class SbnNode:
     def _serve(self, state: PeerState) -> None:
         connection, now = state.connection, self._cfs.scheduler.now
         while state.pipe is not None and (packet := state.pipe.get()) is not None:
-            data = to_link(whole_packet(packet), self._cfs.profile)
+            data = messages.to_link(messages.whole_packet(packet), self._cfs.profile)
             if len(data) <= sbn.LARGEST_PAYLOAD:
                 self._send(state, [connection.frame(data)])
                 connection.sent(now=now)
@@ -243,14 +236,14 @@ class SbnNode:
                     self._fail(facts.OTHER_IDENT, facts.MESSAGE_FAILED, processor_id=identity.processor_id)
                     return
                 for item in msg_ids:
-                    self._subscription(state, msg_type, bus_id(item, cfs.profile))
+                    self._subscription(state, msg_type, messages.bus_id(item, cfs.profile))
             case AppMessage():
                 packet = event.packet
                 if cfs.profile.headers.msg_ids.of(packet) > cfe.HIGHEST_MSG_ID:
                     self._fail(facts.BAD_MSG_ID, facts.MESSAGE_FAILED)
                     return
                 size = max(length_of(packet), carried, cfe.COMMAND_HEADER_BYTES)
-                cfs.publish(from_link(packet[:size], cfs.profile), facts.NAME, stamp=False)
+                cfs.publish(messages.from_link(packet[:size], cfs.profile), facts.NAME, stamp=False)
             case UnknownType(msg_type):
                 self._fail(
                     facts.UNKNOWN_TYPE, facts.MESSAGE_FAILED, failure=facts.NOT_PROCESSED, msg_type=msg_type
@@ -287,7 +280,7 @@ class SbnNode:
             cfs.send(cfs.sbn_endpoint, Endpoint(config.address, config.port), data)
 
     def _network_ids(self, msg_ids: Iterable[int]) -> list[int]:
-        return [link_id(item, self._cfs.profile) for item in msg_ids]
+        return [messages.link_id(item, self._cfs.profile) for item in msg_ids]
 
     def _reportable(self, start: int) -> Iterator[int]:
         return (item for item in self._cfs.bus.subscribed[start:] if item not in NOT_REPORTED)
@@ -377,7 +370,9 @@ class SbnApp:
         if size == cfe.COMMAND_HEADER_BYTES:
             cfs.say(facts.BARE_RELOAD)
             return
-        length, expected = (command_length(item, cfs.profile) for item in (size, cfe.COMMAND_HEADER_BYTES))
+        length, expected = (
+            messages.command_length(item, cfs.profile) for item in (size, cfe.COMMAND_HEADER_BYTES)
+        )
         cfs.say(facts.RELOAD_LENGTH, length=length, expected=expected)
         for event in facts.RELOADING:
             cfs.say(event)
