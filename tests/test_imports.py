@@ -75,7 +75,7 @@ PUT_OFF = {
     ),
     "render/capture/watch.py": ("edoras_tools.render", "rich, and only where something is drawn"),
     "ros/store.py": ("edoras_tools.ros.cdr", "10 ms, and only where messages are checked or become columns"),
-    "ros/types/library.py": (
+    "ros/library.py": (
         "rosbags",
         "15 ms, and only for .idl files and to make the table of standard messages anew",
     ),

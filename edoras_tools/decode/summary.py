@@ -15,7 +15,7 @@ from edoras_tools.links.table import links, protocol
 from edoras_tools.model import OTHER, Decoded
 from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
 from edoras_tools.ros.cdr.plan import CdrPlan, Repeat
-from edoras_tools.ros.types.library import PLACEHOLDER
+from edoras_tools.ros.library import PLACEHOLDER
 from edoras_tools.wire import cfe
 from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 

@@ -18,7 +18,7 @@ import msgspec
 from edoras_tools import doors
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import MOST_DOMAIN
-from edoras_tools.ros.types.library import full_name
+from edoras_tools.ros.library import full_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.graph import Graph, Qos, TopicState, check_name, node_name, unknown_options
-from edoras_tools.ros.types.library import full_name
+from edoras_tools.ros.library import full_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

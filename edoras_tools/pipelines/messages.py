@@ -23,7 +23,7 @@ from edoras_tools.mission import Handling, Mission, RecordedTopic, Route
 from edoras_tools.model import NO_MSG_ID, OTHER
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.types.library import text_of_idl
+from edoras_tools.ros.library import text_of_idl
 from edoras_tools.structs import Structs
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError, EdorasError, RouteError
 from edoras_tools.ros.cdr.plan import ROUNDING, CdrPlan, Compiler
 from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES, ValueSpan, Writer, decode, value_spans
-from edoras_tools.ros.types.library import (
+from edoras_tools.ros.library import (
     Definition,
     Library,
     MessageField,

@@ -10,7 +10,7 @@ import hashlib
 import json
 from typing import TYPE_CHECKING, Any, Final
 
-from edoras_tools.ros.types.library import PLACEHOLDER, MessageField, Shape, full_name
+from edoras_tools.ros.library import PLACEHOLDER, MessageField, Shape, full_name
 
 if TYPE_CHECKING:
     from edoras_tools.ros.store import TypeStore

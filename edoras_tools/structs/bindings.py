@@ -16,7 +16,7 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import accepted, among
-from edoras_tools.ros.types.library import Definition, complete_text, with_used
+from edoras_tools.ros.library import Definition, complete_text, with_used
 from edoras_tools.structs import messages
 from edoras_tools.structs.messages import HEAD, HEADER_FIELDS, MOST_VALUES, Counter, StructPlan, parts
 from edoras_tools.structs.shapes import SHIPPED, Key, Member, Struct, StructLayout

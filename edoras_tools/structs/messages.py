@@ -28,7 +28,7 @@ from msgspec.structs import replace
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import ROWS, table
 from edoras_tools.model import OTHER
-from edoras_tools.ros.types.library import PRIMITIVES, Constant, Definition, MessageField, Shape
+from edoras_tools.ros.library import PRIMITIVES, Constant, Definition, MessageField, Shape
 from edoras_tools.structs.shapes import OPEN, Basic, BasicKind, Member, Struct, StructLayout
 from edoras_tools.wire.arrays import copy_rows, put_rows
 

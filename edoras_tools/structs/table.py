@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.doors import Reading
     from edoras_tools.ros import TypeStore
-    from edoras_tools.ros.types.library import Definition
+    from edoras_tools.ros.library import Definition
     from edoras_tools.structs.bindings import Bindings, Bound, Held, StructPayloads
 
 _NONE: Final = 3
@@ -125,7 +125,7 @@ class Structs:
     def types(self) -> TypeStore:
         """The types of the messages."""
         from edoras_tools.ros import TypeStore
-        from edoras_tools.ros.types.library import complete_text
+        from edoras_tools.ros.library import complete_text
 
         texts = {
             name: complete_text([item, *(other for other in self.definitions.values() if other is not item)])

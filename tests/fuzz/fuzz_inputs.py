@@ -23,7 +23,7 @@ from edoras_tools.mission import load
 from edoras_tools.pipelines.faults import load_scenario
 from edoras_tools.render.pages import Made
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.types.library import parse_definition
+from edoras_tools.ros.library import parse_definition
 from edoras_tools.structs.files import dumps, parse_layout
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.base import normalize_fieldname
 
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.types.library import PLACEHOLDER, PRIMITIVES, Shape
+from edoras_tools.ros.library import PLACEHOLDER, PRIMITIVES, Shape
 
 CUSTOM = {
     "odd_msgs/msg/Inner": "uint8 a\nfloat64 b\nuint8 c\n",

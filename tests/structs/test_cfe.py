@@ -11,7 +11,7 @@ from places import CAPTURES
 from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO, TAILS
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.ros.types.library import STRINGS, parse_definition
+from edoras_tools.ros.library import STRINGS, parse_definition
 from edoras_tools.structs import shipped_structs
 from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.files import shipped_layout as layout

@@ -21,8 +21,8 @@ from edoras_tools import __version__
 from edoras_tools.addons.codegen import plan
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.mission import Mission, Route
+from edoras_tools.ros.library import full_name
 from edoras_tools.ros.store import USUAL_DISTRO
-from edoras_tools.ros.types.library import full_name
 from edoras_tools.wire.envelope import EnvelopeFormat
 
 if TYPE_CHECKING:

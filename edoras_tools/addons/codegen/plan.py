@@ -25,7 +25,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.cdr.plan import WIDE_UNIT
 from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES
-from edoras_tools.ros.types.library import (
+from edoras_tools.ros.library import (
     PLACEHOLDER,
     PRIMITIVES,
     STRINGS,

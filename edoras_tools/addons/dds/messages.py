@@ -24,7 +24,7 @@ from cyclonedds.internal import DDS, InvalidSample
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.graph import dds_name
-from edoras_tools.ros.types.library import PLACEHOLDER, MessageField, Shape, full_name
+from edoras_tools.ros.library import PLACEHOLDER, MessageField, Shape, full_name
 
 if TYPE_CHECKING:
     from cyclonedds.pub import DataWriter

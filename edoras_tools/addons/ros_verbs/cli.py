@@ -29,7 +29,7 @@ from edoras_tools.cli.replay import pair
 from edoras_tools.cli.sending import factor, loops
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.io.formats.table import READ_PACKED
-from edoras_tools.ros.types.library import MessageField, Shape
+from edoras_tools.ros.library import MessageField, Shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -19,7 +19,7 @@ from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag, open_r
 from edoras_tools.model import NO_MSG_ID, OTHER
 from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.reading import reading
-from edoras_tools.ros.types.library import full_name
+from edoras_tools.ros.library import full_name
 from edoras_tools.wire.arrays import by_value, of_bytes
 from edoras_tools.words import listed
 

@@ -22,7 +22,7 @@ from edoras_tools.model import NO_ROUTE, UNKNOWABLE, Finding
 from edoras_tools.render.severity import EXPLANATIONS, Level
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.cdr.plan import CdrPlan, PrimitiveRun, Repeat, Text
-from edoras_tools.ros.types.library import PLACEHOLDER, full_name
+from edoras_tools.ros.library import PLACEHOLDER, full_name
 from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.structs.files import load_layout
 from edoras_tools.structs.shapes import BasicKind

@@ -19,8 +19,8 @@ from zenoh import ext
 from edoras_tools.addons.zenoh import identity
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.graph import Graph, Qos, TopicState, check_name, unknown_options
+from edoras_tools.ros.library import full_name
 from edoras_tools.ros.type_hash import type_hash
-from edoras_tools.ros.types.library import full_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping

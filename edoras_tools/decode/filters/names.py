@@ -23,7 +23,7 @@ from edoras_tools.decode.filters.rows import (
 )
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, OTHER, Decoded, Endpoint, Finding
-from edoras_tools.ros.types.library import full_name
+from edoras_tools.ros.library import full_name
 from edoras_tools.structs.bindings import payloads
 from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire.arrays import by_key

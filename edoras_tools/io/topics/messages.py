@@ -16,7 +16,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.model import Columns, Finding, PacketBatch
-from edoras_tools.ros.types.library import full_name
+from edoras_tools.ros.library import full_name
 from edoras_tools.structs.bindings import Held, payloads
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import Integers, by_value, copy_rows, put_rows

@@ -24,7 +24,7 @@ from edoras_tools.pipelines.sending.loop import enable_output
 from edoras_tools.pipelines.sending.options import LinkReceiver, Receiver, SendOptions
 from edoras_tools.pipelines.sending.replay import Encoder, routes_towards, sender_of
 from edoras_tools.pipelines.sending.run import Loaded
-from edoras_tools.ros.types.library import PRIMITIVES, STRINGS, MessageField, Shape
+from edoras_tools.ros.library import PRIMITIVES, STRINGS, MessageField, Shape
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe

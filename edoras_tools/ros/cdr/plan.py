@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.types.library import PLACEHOLDER, PRIMITIVES, STRINGS, Definition, MessageField, Shape
+from edoras_tools.ros.library import PLACEHOLDER, PRIMITIVES, STRINGS, Definition, MessageField, Shape
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -18,7 +18,7 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError, FieldError, TruncatedError, WireError
 from edoras_tools.ros.cdr.plan import WIDE_UNIT, CdrPlan, Leaf, PrimitiveRun, Repeat, Text
-from edoras_tools.ros.types.library import PRIMITIVES, STRINGS, Definition, MessageField, Shape
+from edoras_tools.ros.library import PRIMITIVES, STRINGS, Definition, MessageField, Shape
 from edoras_tools.wire.envelope import CDR_BE, CDR_LE
 
 ENCAPSULATION_BYTES: Final = 4

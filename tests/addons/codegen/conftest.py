@@ -20,7 +20,7 @@ from edoras_tools.addons.codegen.generation import LibraryOrder, generate
 from edoras_tools.addons.codegen.plan import BoundRule, Bounds
 from edoras_tools.addons.codegen.writing import write_folder
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.types.library import PRIMITIVES, Shape
+from edoras_tools.ros.library import PRIMITIVES, Shape
 
 HERE = Path(__file__).parent
 PACKAGES = ("geometry_msgs", "sensor_msgs", "std_msgs", "nav_msgs", "builtin_interfaces")

@@ -13,7 +13,7 @@ from edoras_tools.addons.codegen.generation import LibraryOrder, generate
 from edoras_tools.addons.codegen.plan import BoundRule, Bounds
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.types.library import PRIMITIVES, Shape
+from edoras_tools.ros.library import PRIMITIVES, Shape
 
 KINDS = ("uint8", "int16", "int32", "float64", "string", "wstring")
 

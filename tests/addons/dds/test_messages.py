@@ -12,7 +12,7 @@ from edoras_tools.addons.dds.messages import DdsTypes, dds_name, is_little_endia
 from edoras_tools.errors import ConfigError, RouteError, WireError
 from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore
-from edoras_tools.ros.types.library import PRIMITIVES
+from edoras_tools.ros.library import PRIMITIVES
 
 TYPES = TypeStore()
 NAMES = [name for name in TYPES.types() if TYPES.has(name)]

@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError, EdorasError, WireError
-from edoras_tools.ros.types.library import full_name
+from edoras_tools.ros.library import full_name
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import copy_rows, put_rows
 

@@ -15,8 +15,8 @@ from edoras_tools.io import RecordingOptions
 from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.outputs import check_links, write_bytes
 from edoras_tools.ros import TypeStore
+from edoras_tools.ros.library import distros
 from edoras_tools.ros.type_hash import type_hash
-from edoras_tools.ros.types.library import distros
 
 if TYPE_CHECKING:
     from edoras_tools.io.formats.mcap.file import McapFile

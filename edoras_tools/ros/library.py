@@ -5,7 +5,7 @@ read on demand; only the folders that the user gave are listed at once.
 
 The standard messages of every ROS 2 distribution, as rosbags knows them, are kept as text: rosbags builds a
 class for each of them, which takes longer than any other step of a command's start. ``python
-tests/ros/types/test_library.py`` writes the text again from the installed rosbags.
+tests/ros/test_library.py`` writes the text again from the installed rosbags.
 
 ``.msg`` text is read as rosidl does (ROS 2 interface definition): one definition, or several joined. Each
 mistake is a ``ConfigError`` of one line, ``FILE:LINE: what is wrong``.

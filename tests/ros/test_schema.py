@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros.types.library import (
+from edoras_tools.ros.library import (
     Constant,
     Definition,
     MessageField,

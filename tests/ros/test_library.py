@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from edoras_tools.errors import ConfigError, RouteError
-from edoras_tools.ros import TypeStore
-from edoras_tools.ros.types import library
-from edoras_tools.ros.types.library import OWN
+from edoras_tools.ros import TypeStore, library
+from edoras_tools.ros.library import OWN
 
 
 def written(root, **files):
@@ -26,7 +25,7 @@ def test_nothing_is_loaded_before_it_is_asked_for(monkeypatch):
     def loaded(*_):
         raise AssertionError
 
-    monkeypatch.setattr("edoras_tools.ros.types.library.standard", loaded)
+    monkeypatch.setattr("edoras_tools.ros.library.standard", loaded)
     types = TypeStore(definitions={"a/A": "int32 x\n"})
     assert types.definition("a/msg/A") == "int32 x\n"
 

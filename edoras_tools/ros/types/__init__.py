@@ -1,1 +1,0 @@
-"""ROS message definitions: their grammar, where they are found, their fields and their text."""
