@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from edoras_tools.addons.lab.emulator import Simulation, messages
 from edoras_tools.addons.lab.emulator.account import socket
 from edoras_tools.addons.lab.emulator.apps import generator
-from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp
+from edoras_tools.addons.lab.emulator.apps.core import SingleRobotApp
 from edoras_tools.addons.lab.emulator.simulation import WireDatagram
 from edoras_tools.addons.lab.emulator.source import frames_of
 from edoras_tools.cfs import edoras_app, telemetry_output

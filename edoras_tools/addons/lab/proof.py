@@ -30,7 +30,7 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import Scenario, Simulation
 from edoras_tools.addons.lab.emulator.account import LOST, socket
-from edoras_tools.addons.lab.emulator.apps.edoras import ROBOT_HOUSEKEEPING, SingleRobotApp
+from edoras_tools.addons.lab.emulator.apps.core import ROBOT_HOUSEKEEPING, SingleRobotApp
 from edoras_tools.addons.lab.emulator.cfs import DEMO_ROUTES
 from edoras_tools.addons.lab.emulator.services.software_bus import HOP
 from edoras_tools.cfs import edoras_app, telemetry_output

@@ -16,7 +16,7 @@ import msgspec
 from edoras_tools import doors
 from edoras_tools.addons.lab.demo import nodes
 from edoras_tools.addons.lab.emulator import BOOT_NS, Scenario, Served, Simulation
-from edoras_tools.addons.lab.emulator.apps.edoras import SingleRobotApp
+from edoras_tools.addons.lab.emulator.apps.core import SingleRobotApp
 from edoras_tools.cfs.edoras_app import PIPE
 from edoras_tools.errors import CaptureError, ConfigError, EdorasError
 from edoras_tools.io.outputs import to_write, write_files

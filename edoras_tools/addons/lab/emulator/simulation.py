@@ -7,8 +7,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.addons.lab.emulator.apps import generator
-from edoras_tools.addons.lab.emulator.apps.core import SCHEDULER, start_core, start_scheduler
-from edoras_tools.addons.lab.emulator.apps.edoras import EdorasApp, SingleRobotApp, TwoRobotApp
+from edoras_tools.addons.lab.emulator.apps.core import (
+    SCHEDULER,
+    EdorasApp,
+    SingleRobotApp,
+    TwoRobotApp,
+    start_core,
+    start_scheduler,
+)
 from edoras_tools.addons.lab.emulator.apps.generator import Generator
 from edoras_tools.addons.lab.emulator.apps.ground_apps import CommandIngest, TelemetryOutput
 from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnApp
