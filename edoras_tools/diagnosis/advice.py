@@ -224,7 +224,7 @@ def advise(case: Case, loss: Loss) -> Advice:
     """Return the remedy for all losses of a MsgId at a queue; computed once, for the worst of them."""
     if (key := _key(loss)) not in case.advice:
         alike = [item for item in case.losses if _key(item) == key]
-        at_output = loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
+        at_output = _at_output(loss)
         # A remedy for the lowest commanded limit also helps at the other limits.
         commands = ((limit_command(case, item), item) for item in alike)
         lowest = (((command.limit if command else 0) or _MOST, item) for command, item in commands)
@@ -239,16 +239,50 @@ def advise(case: Case, loss: Loss) -> Advice:
     return case.advice[key]
 
 
+def capacity(case: Case, loss: Loss) -> str:
+    """Return how much the queue of a loss takes, and whether that was measured, told or assumed."""
+    who, origin = "SBN" if loss.over_network else "CI", ""
+    names: tuple[str | int, ...]
+    if _at_output(loss):
+        queue, limit, measured = clean_round(case, loss)
+        keeps, names = "TO keeps {} of this MsgId and sends", (loss.msg_id, "to_wake_ns")
+        if loss.hop != telemetry_output.PIPE:
+            keeps, names = "it keeps {} of this MsgId and SBN empties it", ("sbn_msg_limit", "sbn_wake_ns")
+        origin = set_by(case, loss, limit) or " (measured)" * measured
+    elif loss.kind == "socket":
+        queue = queues.ci_socket(case.profile)
+        limit, keeps, names = queue.reads, "CI reads {}", ("ci_wake_ns", "ci_datagrams_per_wake")
+    elif hz := _lossless_hz(case, loss):
+        return f"{hz:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)"
+    else:
+        queue, keeps = _pipe_of(case, loss), f"it keeps {{}} of one MsgId, and {who} hands over a burst"
+        limit, names = queue.usual_limit, (f"{who.lower()}_wake_ns", "app_msg_limit")
+    rate = f" every {queue.round_ns / MILLISECOND:.0f} ms: {queue.rate_hz(limit):.0f} a second get through"
+    text = keeps.format(limit) + rate if limit else "TO keeps none of this MsgId"
+    return text + (origin or f" ({case.origin(*names)})")
+
+
+def _at_output(loss: Loss) -> bool:
+    """Return whether a loss is at the pipe of Telemetry Output or of an SBN peer."""
+    return loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
+
+
+def _pipe_of(case: Case, loss: Loss) -> queues.Queue:
+    """Return the model of the application's pipe that a loss was at, or in front of."""
+    return queues.application_pipe(case.profile, over_network=loss.over_network)
+
+
+def _lossless_hz(case: Case, loss: Loss) -> float:
+    """Return the highest rate at which the stream of a loss at an application lost nothing; 0 if unknown."""
+    pipe = _pipe_of(case, loss)
+    return case.lossless_hz(loss.stream, pipe.rate_hz(pipe.usual_limit)) if loss.stream else 0.0
+
+
 def _at_pipe(case: Case, loss: Loss) -> Advice:
     """Return the remedy where the pipe of Telemetry Output or of an SBN peer takes too few of a MsgId."""
     queue, limit, measured = clean_round(case, loss)
-    msg_id, output = loss.msg_id, loss.hop == telemetry_output.PIPE
-    rate, every = queue.rate_hz(limit), f"{queue.round_ns / MILLISECOND:.0f} ms"
-    why = f"{'TO keeps' if output else 'it keeps'} {limit} of this MsgId and "
-    why += f"{'sends' if output else 'SBN empties it'} every {every}: {rate:.0f} a second get through"
-    why = why if limit else "TO keeps none of this MsgId"
-    names = (loss.msg_id, "to_wake_ns") if output else ("sbn_msg_limit", "sbn_wake_ns")
-    why += set_by(case, loss, limit) or f" ({'measured' if measured else case.origin(*names)})"
+    msg_id, output, why = loss.msg_id, loss.hop == telemetry_output.PIPE, capacity(case, loss)
+    rate = queue.rate_hz(limit)
     queue = replace(queue, depth=depth_at(case, loss, queue))
     slower = f"publish at most {_safe(rate):g} Hz"
     if loss.stream is None:
@@ -367,28 +401,13 @@ def _raised(case: Case, msg_id: int, limit: int) -> str:
 
 def _at_application(case: Case, loss: Loss) -> Advice:
     """Return the remedy where an application's pipe takes too few of a command, or CI's socket is full."""
-    over_network = loss.over_network
-    pipe = queues.application_pipe(case.profile, over_network=over_network)
-    socket = queues.ci_socket(case.profile)
-    limit, clean = pipe.usual_limit, pipe.rate_hz(pipe.usual_limit)
-    every, who = f"every {pipe.round_ns // MILLISECOND} ms", "SBN" if over_network else "CI"
-    names = ("sbn_wake_ns" if over_network else "ci_wake_ns", "app_msg_limit")
-    if loss.kind == "socket":
-        names = ("ci_wake_ns", "ci_datagrams_per_wake")
-        why = f"CI reads {socket.reads} {every}, {socket.rate_hz(socket.reads):.0f} a second of all"
-    else:
-        why = f"it keeps {limit} of one MsgId, and {who} hands over a burst {every}"
-    if loss.stream is None:
-        return Advice(
-            f"{why} ({case.origin(*names)})",
-            f"send at most {_safe(clean):g} Hz, or {_subscribed('a higher limit')}",
-        )
+    over_network, pipe, socket = loss.over_network, _pipe_of(case, loss), queues.ci_socket(case.profile)
+    limit, clean, why = pipe.usual_limit, pipe.rate_hz(pipe.usual_limit), capacity(case, loss)
     stream = loss.stream
-    if loss.kind != "socket" and (hz := case.lossless_hz(stream, clean)):
-        return Advice(
-            f"{hz:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)",
-            f"send at most {_safe(hz):g} Hz, evenly",
-        )
+    if stream is None:
+        return Advice(why, f"send at most {_safe(clean):g} Hz, or {_subscribed('a higher limit')}")
+    if loss.kind != "socket" and (hz := _lossless_hz(case, loss)):
+        return Advice(why, f"send at most {_safe(hz):g} Hz, evenly")
     rows = np.flatnonzero((case.rows.link == stream.link) & (case.rows.destination == stream.receiver))
     arrivals = Arrivals(case.rows.time_ns[rows], case.rows.msg_id[rows].astype(np.int64))
     arrivals = arrivals.around(loss, pipe.round_ns)
@@ -397,7 +416,7 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     waiting = sum(item.waiting for item in case.ingests_at(stream.receiver))
     number = at_limit + in_socket or loss.lost
     fits = _explains(arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id), number, waiting)
-    why += f" ({case.origin(*names)}{', and fits what was lost' if fits else ''})"
+    why = f"{why[:-1]}, and fits what was lost)" if fits else why
     senders = len(senders_at_once(case.rows, _rows_of(loss)))
     slower = f"send at most {_safe(clean):g} Hz"
     if senders > 1:
@@ -405,8 +424,11 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     at_once = arrivals.most(pipe.round_ns)
     crowds = at_once > socket.reads and own.most(pipe.round_ns) <= limit and not over_network
     if crowds:
+        every = f"every {pipe.round_ns // MILLISECOND} ms"
         reads = f"it reads {socket.reads} {every} (up to {at_once} were), and the rest comes late"
-        slower = f"spread all that is sent to CI{_most_by(case, rows, stream.sender)}: {reads}"
+        most = int(np.bincount(case.rows.source[rows]).argmax())
+        by = f", most of it by {case.endpoints[most]}" if most != stream.sender else ""
+        slower = f"spread all that is sent to CI{by}: {reads}"
     else:
         slower = _spread(case, own, pipe, limit, slower, ("sent", "the application's task"))
     need = min(own.most(pipe.round_ns * _LATE) + 1, pipe.depth if over_network else socket.reads)
@@ -426,12 +448,6 @@ def _meanwhile(case: Case, loss: Loss, kind: str) -> int:
     others = case.losses_of(loss.stream) if loss.stream else []
     near = (item for item in others if item.start_ns < loss.end_ns and loss.start_ns < item.end_ns)
     return sum(item.lost for item in near if item.kind == kind)
-
-
-def _most_by(case: Case, rows: Places, sender: int) -> str:
-    """Return who sent most of some rows, as a clause; empty if it was ``sender``."""
-    most = int(np.bincount(case.rows.source[rows]).argmax())
-    return f", most of it by {case.endpoints[most]}" if most != sender else ""
 
 
 def _subscribed(limit: str) -> str:

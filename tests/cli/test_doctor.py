@@ -92,8 +92,8 @@ def test_two_senders_of_one_msg_id_are_told_apart(call, captures, monkeypatch):
 def test_the_sentence_of_the_rover(call, captures):
     done = call("doctor", "-v", captures("a_rover"))
     assert (
-        "92 of 600 commands on 0x1827 lost at EDORAS_APP_PIPE: more than 4 of one MsgId waiting while "
-        "CI delivers in 500 ms bursts"
+        "92 of 600 commands on 0x1827 lost at EDORAS_APP_PIPE: it keeps 4 of one MsgId, and CI hands over a "
+        "burst every 500 ms"
     ) in done.out
     assert "92 of 600 0x1827 were lost." in done.out
 

@@ -32,7 +32,7 @@ def test_people_see_a_table_a_chart_and_the_reason(call, missions, tmp_path):
     options = ("--sim", "two-rovers", "--rate", "6..12", "--step-time", "4s", "--svg", picture)
     done = call("sweep", "/robot_1/ground/pose", *missions("two_rovers_ground"), *options)
     assert done.code == 0
-    for words in ("Delivered", "got through, messages/s", "between 8 and 9 Hz", "4 of this MsgId may wait"):
+    for words in ("Delivered", "got through, messages/s", "between 8 and 9 Hz", "TO keeps 4 of this MsgId"):
         assert words in done.out
     assert "threshold between 8 and 9 Hz" in "".join(ET.fromstring(picture.read_text()).itertext())
 

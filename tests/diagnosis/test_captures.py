@@ -17,8 +17,9 @@ def test_a_rover_lost_92_of_600_at_the_applications_pipe(capture, missions):
     diagnosis = capture("a_rover", *missions)
     (verdict,) = found(diagnosis, "app_pipe_limit")
     assert (verdict.lost, verdict.of, verdict.msg_id, verdict.hop) == (92, 600, 0x1827, "EDORAS_APP_PIPE")
-    assert "more than 4 of one MsgId waiting while CI delivers in 500 ms bursts" in verdict.reason
-    assert any("up to 8 Hz get through" in line for line in verdict.evidence)
+    assert "it keeps 4 of one MsgId, and CI hands over a burst every 500 ms" in verdict.reason
+    assert "every 500 ms: 8 a second get through" in verdict.reason
+    assert any("sent at 10.0 Hz" in line for line in verdict.evidence)
     assert any("stops this event after 16" in line for line in verdict.evidence)
     assert diagnosis.lost == 92
     assert verdict.topic == ("/cmd_vel" if missions else None)
@@ -58,7 +59,7 @@ def test_c1_names_the_loss_of_each_step_and_the_clean_rate(capture, missions):
     for rate, item in zip(STEPS, verdicts, strict=True):
         offered = item.of / ((item.end_ns - item.start_ns) / 1e9)
         assert offered == pytest.approx(rate, rel=0.05)
-        assert "so 8.0/s get through" in item.reason
+        assert ": 8 a second get through" in item.reason
         assert item.hop == "TO_LAB_TLM_PIPE"
     assert diagnosis.lost == sum(STEPS.values())
 
@@ -108,7 +109,7 @@ def test_d3_says_once_what_one_traffic_lost_at_one_place_in_one_time(capture):
 def test_d3_names_the_peers_pipe_at_250_hz(capture):
     (verdict,) = found(capture("d3_cpu1_cpu2"), "sbn_peer_pipe")
     assert (verdict.msg_id, verdict.hop) == (0x828, "SBN_1_66_Pipe")
-    assert "40/s get through" in verdict.reason
+    assert "40 a second get through" in verdict.reason
     assert verdict.lost / verdict.of == pytest.approx(1 - 40 / 250, abs=0.03)
 
 

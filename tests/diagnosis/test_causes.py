@@ -78,8 +78,12 @@ def test_one_sender_that_repeats_itself_is_no_crowd(lab, name):
 def test_limits_that_commands_set_are_named_and_nothing_is_missing_between(lab):
     found = season(lab, "q12_to_limits_changed")
     reasons = [item.reason for item in told(found, "to_message_limit")]
-    assert any("1 of this MsgId may wait (set by a command at 21.0 s)" in line for line in reasons)
-    assert any("2 of this MsgId may wait (set by a command at 51.8 s)" in line for line in reasons)
+    assert any(
+        "TO keeps 1 of this MsgId" in line and "(set by a command at 21.0 s)" in line for line in reasons
+    )
+    assert any(
+        "TO keeps 2 of this MsgId" in line and "(set by a command at 51.8 s)" in line for line in reasons
+    )
     (problem,) = (item for item in summarize(found).problems if item.lost == 254)
     assert "TO keeps 1 of this MsgId" in problem.text
     assert "(set by a command at 21.0 s); 2 from 51.8 s on: 206 of these" in problem.text

@@ -77,7 +77,9 @@ def test_what_nothing_shows_is_called_assumed(lab, name):
     found = lab.read(ROOT / f"tests/captures/{name}.pcap.zst")
     reasons = [item.reason for item in found.verdicts if item.rule == "app_pipe_limit"]
     assert reasons
-    assert all("delivers in 500 ms bursts (assumed)" in line for line in reasons)
+    assert all(
+        "hands over a burst every 500 ms: 8 a second get through (assumed)" in line for line in reasons
+    )
     assert found.case.constants.rounds["to_wake_ns"] == pytest.approx(SECOND / 2, rel=0.05)
     assert found.case.profile == found.case.assumed
 

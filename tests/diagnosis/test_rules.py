@@ -1075,7 +1075,7 @@ def test_what_command_ingest_of_cfs_7_refuses_is_told_by_its_own_words(lab):
         item.evidence[1] for item in told["bad_command"] if item.msg_id == 0x2827
     )
     assert [(item.lost, item.hop) for item in told["app_pipe_limit"]] == [(3, "SAMPLE_APP_CMD_PIPE")]
-    assert "delivers in 500 ms" in told["app_pipe_limit"][0].reason
+    assert "hands over a burst every 500 ms" in told["app_pipe_limit"][0].reason
     taken = next(row for row in found.balance if (row.msg_id, row.hop) == (0x1882, "CI"))
     assert (taken.came, taken.out, taken.counted["out"]) == (26, 14, "0x884"), "CI's own counter"
 

@@ -153,8 +153,8 @@ def test_a_table_with_other_limits_is_measured(lab):
     )
     (verdict,) = [item for item in lab.examine(sent).verdicts if item.rule == "to_message_limit"]
     assert verdict.lost == pytest.approx(counters.msg_limits, rel=0.02)
-    assert "10 of this MsgId may wait" in verdict.reason
-    assert "20.0/s get through" in verdict.reason
+    assert "TO keeps 10 of this MsgId" in verdict.reason
+    assert "20 a second get through" in verdict.reason
 
 
 @pytest.mark.long

@@ -15,7 +15,7 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.ingest import QUOTED
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKET, SBN_SOCKET, TAIL_NS, Loss
 from edoras_tools.diagnosis.accounting.pipes import TICKS, more_at_once
-from edoras_tools.diagnosis.advice import advise, clean_round, crowding_of, depth_at, set_by, stood_still
+from edoras_tools.diagnosis.advice import advise, capacity, crowding_of, depth_at
 from edoras_tools.diagnosis.evidence.relays import RELAY_HOP
 from edoras_tools.diagnosis.ledger import CAUSES
 from edoras_tools.diagnosis.rules.about import loss_verdict, lost_at, of_messages, packet
@@ -62,38 +62,19 @@ def _by_another(case: Case, loss: Loss, least: str) -> Verdict:
     return loss_verdict(case, loss, f"{least}{lost_at(case, loss)}: {why}", remedy)
 
 
-_READ_LATE: Final = "where the pipe is read at once: {} or the application came to it later than that"
-
-
 def _over_app_limit(case: Case, loss: Loss) -> Verdict:
-    over_network = loss.over_network
-    pipe = queues.application_pipe(case.profile, over_network=over_network)
-    who, period, limit = "SBN" if over_network else "CI", pipe.round_ns, pipe.usual_limit
-    clean, link = pipe.rate_hz(limit), who.lower()
+    period_ns = queues.application_pipe(case.profile, over_network=loss.over_network).round_ns
     least = "at least " if loss.instance not in case.tracks else ""
     if loss.sender and not loss.sender.startswith((*command_ingest.NAMES, "SBN")):
         return _by_another(case, loss, least)
-    reason, advice = f"{least}{lost_at(case, loss, 'commands')}: more ", advise(case, loss)
-    if loss.stream is not None and (hz := case.lossless_hz(loss.stream, clean)):
-        reason += "of one MsgId came at once than may wait there"
-        return loss_verdict(case, loss, reason, advice, f"at {hz:.1f} Hz none was lost here", link=link)
-    every, rate = f"{period // 1_000_000} ms", ""
-    origin = case.origin("sbn_wake_ns" if over_network else "ci_wake_ns", "app_msg_limit")
-    reason += f"than {limit} of one MsgId waiting while {who} delivers in {every} bursts ({origin})"
-    if crowd := crowding_of(case, loss):
-        reason += f". {crowd[0].upper()}{crowd[1:]}"
+    why = "; ".join(filter(None, (capacity(case, loss), crowding_of(case, loss))))
+    reason, rate = f"{least}{lost_at(case, loss, 'commands')}: {why}", ""
     if loss.span is not None and loss.stream is not None and loss.span.rate_hz:
         times = loss.stream.time_ns[loss.span.rows]
-        most = int((np.searchsorted(times, times + period) - np.arange(len(times))).max())
-        sent = f"sent at {loss.span.rate_hz:.1f} Hz"
-        if loss.span.rate_hz > clean and times[-1] - times[0] > period:
-            rate = f"{sent}; up to {clean:g} Hz get through ({origin})"
-        elif most > limit:
-            rate = f"up to {most:,} were sent within {every}; {limit} are clean"
-        else:
-            where = "while cFS runs" if stood_still(case, loss) else _READ_LATE.format(who)
-            rate = f"{sent}, at most {most} within {every}, which is clean {where}"
-    return loss_verdict(case, loss, reason, advice, rate, link=link)
+        most = int((np.searchsorted(times, times + period_ns) - np.arange(len(times))).max())
+        rate = f"sent at {loss.span.rate_hz:.1f} Hz, at most {most:,} within {period_ns // MILLISECOND} ms"
+    link = "sbn" if loss.over_network else "ci"
+    return loss_verdict(case, loss, reason, advise(case, loss), rate, link=link)
 
 
 def app_pipe_overflow(case: Case) -> Iterator[Verdict]:
@@ -115,28 +96,14 @@ def to_message_limit(case: Case) -> Iterator[Verdict]:
     for loss in case.losses:
         its_own = not loss.closed and not loss.rivals
         if loss.kind == "limit" and loss.hop == telemetry_output.PIPE and its_own:
-            origin = "" if "to_wake_ns" in case.constants.learned else " (assumed)"
-            text = "this MsgId may wait{} and TO sends every {:.0f} ms, so {:.1f}/s get through"
-            yield _over_limit(case, loss, "to", text + origin)
+            yield _over_limit(case, loss, "to")
 
 
-def _over_limit(case: Case, loss: Loss, link: str, text: str) -> Verdict:
-    """Return the verdict on what a pipe that is emptied in rounds did not take.
-
-    Args:
-        text: how many may wait there, with places for who set that, the period and the rate.
-    """
-    queue, limit, measured = clean_round(case, loss)
-    period_ms, rate = queue.round_ns / MILLISECOND, queue.rate_hz(limit)
-    rounds = text.format(set_by(case, loss, limit), period_ms, rate)
-    clean = f": {rate:.1f} Hz is clean" if link == "to" else ""
-    rounds_text = f"at most {limit} came in one round, every {period_ms:.1f} ms{clean}" if measured else ""
-    rounds = f"{limit or 'none'} of {rounds}"
-    if loss.offered_hz:
-        mean = " on average" * (0 < loss.offered_hz <= rate)
-        rounds = f"published at {loss.offered_hz:,.0f}/s{mean}, {rounds}"
-    reason = f"{lost_at(case, loss)}: {rounds}"
-    return loss_verdict(case, loss, reason, advise(case, loss), rounds_text, link=link)
+def _over_limit(case: Case, loss: Loss, link: str) -> Verdict:
+    """Return the verdict on what a pipe that is emptied in rounds did not take."""
+    offered = f"published at {loss.offered_hz:,.0f} a second on average" if loss.offered_hz else ""
+    reason = f"{lost_at(case, loss)}: {capacity(case, loss)}"
+    return loss_verdict(case, loss, reason, advise(case, loss), offered, link=link)
 
 
 def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
@@ -214,8 +181,7 @@ def sbn_peer_pipe(case: Case) -> Iterator[Verdict]:
     """
     for loss in case.losses:
         if loss.kind in {"limit", "overflow"} and loss.hop.startswith("SBN") and not loss.rivals:
-            text = "one MsgId may wait{} and SBN serves the pipe every {:.0f} ms, so {:.0f}/s get through"
-            yield _over_limit(case, loss, "sbn", text)
+            yield _over_limit(case, loss, "sbn")
 
 
 _LARGER: Final = "sudo sysctl -w net.core.rmem_default=4194304, then start that program again"

@@ -48,7 +48,7 @@ def test_a_system_is_learned_and_given_with_c(call, tmp_path):
         f"edoras: {path}: 2 topics, 7 constants of cFS; several types fit 2 of them: check these"
     ]
     rows = call("doctor", ROVER, "-c", path, "--json").json()["verdicts"]
-    assert any("500 ms bursts (told)" in row["reason"] for row in rows)
+    assert any("every 500 ms: 8 a second get through (told)" in row["reason"] for row in rows)
     (up, _) = call("doctor", "--predict", "-c", path, "--set", "app_msg_limit=2", "--json").json()["routes"]
     assert (up["msg_id"], up["limit_hz"]) == ("0x1827", 4.0)
     swept = call("sweep", "ci_1827", "-c", path, "--sim", "rover", "--rate", "4..12", "--dry-run", "--json")
