@@ -32,7 +32,7 @@ from edoras_tools.diagnosis.accounting.claims import Counts
 from edoras_tools.diagnosis.accounting.commands import Commands
 from edoras_tools.diagnosis.accounting.content import judge_contents
 from edoras_tools.diagnosis.accounting.losses import TAIL_NS
-from edoras_tools.diagnosis.constants import Constants, learn_constants
+from edoras_tools.diagnosis.constants import learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import without_steps
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.loss_reports import reported_losses, tracks
@@ -49,9 +49,7 @@ from edoras_tools.diagnosis.matching.stalls import stalls
 from edoras_tools.diagnosis.matching.streams import comb, find_resets, find_robots, find_streams
 from edoras_tools.diagnosis.quality import (
     CONFIDENCE,
-    Evidence,
     HostDrops,
-    Quality,
     assess_quality,
     find_holes,
     host_drops,
@@ -164,6 +162,8 @@ class Case:
         verdicts: verdicts of the rules that ran so far.
         refused: verdicts about messages that cFS refused because of what they contain.
         advice: cache of ``diagnosis.advice``, by queue.
+        constants: constants of cFS, with those that were learned from the capture.
+        quality: upper bounds of the share of datagrams that the capture missed.
         ingests: accounts of CI, one for each CI.
         outages: stops and restarts of applications that are certain, or visible in the traffic.
         unheard: stream to its messages that were sent to a silent SBN peer.
@@ -172,6 +172,8 @@ class Case:
         ledger: fates of all messages; the rules about single messages have to run before.
     """
 
+    constants = cached_property(learn_constants)
+    quality = cached_property(assess_quality)
     ingests = cached_property(ingest.ingests)
     outages = cached_property(closed.outages)
     unheard = cached_property(closed.unheard)
@@ -217,14 +219,6 @@ class Case:
         self._silences: dict[int, list[tuple[int, int]]] = {}
         self._times: dict[tuple[int, ...], Integers] = {}
         self._events: dict[tuple[tuple[str, ...], frozenset[int]], list[EventRecord]] = {}
-
-    @cached_property
-    def constants(self) -> Constants:
-        """The constants of cFS, with those that were learned from the capture."""
-        overflows = any(track.growth("pipe_overflows") for track in self.tracks.values())
-        return learn_constants(
-            self.assumed, self.rows, self.streams, self.hops, self.reported_losses, overflows=overflows
-        )
 
     @property
     def profile(self) -> SimProfile:
@@ -307,24 +301,6 @@ class Case:
     def away(self) -> list[tuple[int, int]]:
         """Spans (start, end), ns, in which the capture could not record: outages and certain holes."""
         return sorted([*self.capture.away, *self.holes])
-
-    @cached_property
-    def quality(self) -> Quality:
-        """The upper bounds of the share of datagrams that the capture missed."""
-        evidence = self.rows, self.payloads, self.instances, self.streams, self.hops, self.tracks
-        quality = assess_quality(*evidence, self.all_holes, self.capture.drops)
-        # Cut frames cannot be matched with their answers, but CI's surplus over the capture still counts.
-        cut = self.rows.has(Finding.CAPTURE_CUT).any() and not quality.lacks_answered
-        own = [item for item in self.ingests if item.not_captured and cut]
-        counts = ((item.endpoint, item.read_count + item.not_captured, item.not_captured) for item in own)
-        more = [Evidence("ci_counts", *item) for item in counts]
-        once, alone = len(self.rows) - (twice := self.prepared.copies), self.prepared.perhaps_undelivered
-        if once < twice and not alone.any():  # Lincoln-Petersen
-            more.append(Evidence("copies", NOBODY, twice, once**2 // (4 * twice)))
-        # What either of two places has says nothing of what one of them missed.
-        merged = alone.any() and not self.capture.astray
-        fair = (item for item in quality.evidence if not (merged and item.kind == "periods"))
-        return replace(quality, evidence=(*fair, *more))
 
     @cached_property
     def confidence(self) -> float:
@@ -424,10 +400,6 @@ class Case:
             places.setdefault(min(own, key=itemgetter(0), default=(0, None))[1], []).append(place)
         none = rows.take(slice(0))
         return defaultdict(lambda: none, {key: rows.take(np.array(own)) for key, own in places.items()})
-
-    def damaged_of(self, stream: Stream | None) -> Rows:
-        """Return the damaged datagrams of a stream; with None those that belong to no stream."""
-        return self.damaged[stream]
 
     def arrival(self, stream: Stream) -> Hashable:
         """Return a key for ``follows``: equal for streams that enter at one place; None if unsubscribed."""

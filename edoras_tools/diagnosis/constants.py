@@ -27,6 +27,7 @@ from edoras_tools.wire.arrays import Integers, groups
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.crossing import Hop
@@ -84,39 +85,24 @@ class Constants(NamedTuple):
     learned: frozenset[str | int]
 
 
-def learn_constants(
-    assumed: SimProfile,
-    rows: Rows,
-    streams: Sequence[Stream],
-    hops: Sequence[Hop],
-    losses: Mapping[ReportedLoss, LossEvents],
-    *,
-    overflows: bool,
-) -> Constants:
-    """Return the constants, with the assumed ones replaced by those that the capture shows.
-
-    Args:
-        assumed: constants to start from.
-        rows: table of datagrams.
-        streams: streams of these rows.
-        hops: pairs of streams in and out of cFS.
-        losses: losses that events report.
-        overflows: whether a counter of pipe overflows grew.
-    """
+def learn_constants(case: Case) -> Constants:
+    """Return the constants of a capture: those that it shows, else the assumed ones."""
+    assumed, rows, streams = case.assumed, case.rows, case.streams
     down = rows.on(lambda link: link.only_from_cfs)
     down &= (rows.duplicates == 0) & (rows.reordered == 0)  # in the order of sending
     sent = [rows.time_ns[own] for _, own in groups(rows.source, np.flatnonzero(down))]
     output = max(sent, key=len, default=rows.time_ns[:0])
-    every = {"to_wake_ns": find_round(output), "ci_wake_ns": _ingest(rows, hops)}
+    every = {"to_wake_ns": find_round(output), "ci_wake_ns": _ingest(rows, case.hops)}
     rounds = {name: period for name, period in every.items() if period}
     profile = assumed
     for name, item in rounds.items():
         if _usual(assumed, name) and abs(item / getattr(assumed, name) - 1) > _ALIKE:
             profile = replace(profile, **{name: item})
-    limits = _limits(assumed, streams, losses) if "to_wake_ns" in rounds else {}
+    limits = _limits(assumed, streams, case.reported_losses) if "to_wake_ns" in rounds else {}
     names: set[str | int] = {*rounds, *limits, *assumed.stated}
     profile = replace(profile, to_limits={**assumed.to_limits, **limits})
     lacking = sum(int(item.missing.sum()) for item in streams if item.link.only_from_cfs)
+    overflows = any(track.growth("pipe_overflows") for track in case.tracks.values())
     if overflows and lacking > _ALIKE * len(output):
         depth = _full_round(output)
         if _usual(assumed, "to_pipe_depth") and 0 < depth < (1 - _ALIKE) * profile.to_pipe_depth:

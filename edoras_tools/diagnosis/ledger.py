@@ -492,7 +492,7 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     traffic = LedgerTraffic(stream.route, stream.link.label, stream.msg_id, case.receiver_label(stream))
     entered = len(stream) + len(dropped) - doubled
     entered += relayed.more if relayed else 0
-    entered += len(case.damaged_of(stream)) + case.commands.never_came.get(stream, 0)
+    entered += len(case.damaged[stream]) + case.commands.never_came.get(stream, 0)
     doubtful = case.perhaps_doubled[stream.link.code, stream.receiver, stream.msg_id]
     way = LedgerWay(traffic, entered, doubtful)
     if relayed:
@@ -573,7 +573,7 @@ def _behind_bus(case: Case, fate: Fate, way: LedgerWay) -> None:
 
 def _damaged(case: Case) -> Iterator[LedgerWay]:
     """Yield a way for each MsgId of damaged datagrams to cFS that belong to no stream."""
-    rows = case.damaged_of(None)
+    rows = case.damaged[None]
     to_cfs = rows.on(lambda link: link.to_cfs and link.packets)
     to_cfs &= (rows.msg_id != NO_MSG_ID) | ~rows.on(lambda link: link.peers)
     to_cfs &= np.isin(rows.destination, [item.stream.receiver for item in case.commands.fates.values()])
@@ -601,14 +601,14 @@ def _add_reader(
         by = "the kernel's counter of its socket" if any(item.by_kernel for item in accounts) else "0x884"
         way.hop(CI_HOP, {"in": SEEN, **({"out": by} if accounts else all_out or {"lost": _NO_INGEST})})
         way.add_losses(losses, _BEFORE_CI)
-        _lose_damaged(way, case.damaged_of(stream))
+        _lose_damaged(way, case.damaged[stream])
         way.end("waiting", fate.ends["queued"])
         way.end("uncertain", fate.ends["crowded"])
         way.end("not_captured", min(fate.ends["late"], way.left))
-    elif any(loss.kind in _NOT_READ for loss in losses) or len(case.damaged_of(stream)):
+    elif any(loss.kind in _NOT_READ for loss in losses) or len(case.damaged[stream]):
         way.hop(SBN_SOCKET, {"in": SEEN, "out": "not counted: what came out, and what the bus counts"})
         way.add_losses(losses, _NOT_READ)
-        _lose_damaged(way, case.damaged_of(stream))
+        _lose_damaged(way, case.damaged[stream])
 
 
 def _add_application(case: Case, fate: Fate, way: LedgerWay) -> None:
@@ -657,7 +657,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     sources = {"in": by, "out": SEEN}
     way.hop(BEHIND, sources, duplicated=stream.duplicates - doubled if stream.counted else 0)
     way.add_losses(losses, _BEHIND_PIPE)
-    _lose_damaged(way, case.damaged_of(stream).take(slice(telemetry.ends[stream]["damaged"])))
+    _lose_damaged(way, case.damaged[stream].take(slice(telemetry.ends[stream]["damaged"])))
     way.end("not_captured", telemetry.ends[stream]["away"])
     way.end("uncertain", sum(telemetry.ends[stream][how] for how in ("uncertain", "undecided", "astray")))
     # Losses of captured messages: they were lost on the way to the next capture.

@@ -42,7 +42,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from math import ceil, exp, lgamma, log, log1p, sqrt
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
@@ -50,6 +50,7 @@ import msgspec
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
+from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays import by_key, by_value, distinct, groups, numbered
 
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import Track
     from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.table import Rows
@@ -186,13 +188,9 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         """Whether a trusted count of drops is 0."""
         return self.counts and not self.drops
 
-    def upper_share(self, confidence: float = CONFIDENCE) -> float:
-        """Return the largest share of frames that the capture can have missed, 0 to 1.
-
-        Args:
-            confidence: probability that a capture which misses a larger share shows more missing datagrams.
-        """
-        return 0.0 if self.known_zero else largest_share(*self._best, self._each(confidence))
+    def upper_share(self) -> float:
+        """Return the largest share of frames that the capture can have missed, 0 to 1."""
+        return 0.0 if self.known_zero else largest_share(*self._best, self._each(CONFIDENCE))
 
     def may_have_missed(self, count: int, confidence: float = CONFIDENCE) -> int:
         """Return the largest number of ``count`` datagrams that the capture can have missed."""
@@ -206,12 +204,12 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         share = self.upper_share() if self.lacks_answered else 0.0
         return ceil(log(1 - CONFIDENCE) / log(min(share, _MOSTLY_ONCE))) if share else 0
 
-    def excludes(self, share: float, confidence: float = CONFIDENCE) -> bool:
+    def excludes(self, share: float) -> bool:
         """Return whether the capture cannot have missed this share: one of the checked would be missing.
 
         If the capture surely missed datagrams, no share is excluded: any missing datagram may be one of them.
         """
-        each, groups = self._each(confidence), () if self.lacks_answered else self.groups
+        each, groups = self._each(CONFIDENCE), () if self.lacks_answered else self.groups
         return self.known_zero or any(
             share > largest_share(checked, missing, each) for checked, missing in groups if not missing
         )
@@ -221,39 +219,32 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         return 1 - (1 - confidence) / max(len(self.groups), 1)
 
 
-def assess_quality(
-    rows: Rows,
-    payloads: Payloads,
-    instances: Instances,
-    streams: Sequence[Stream],
-    hops: Sequence[Hop],
-    tracks: Mapping[int, Track],
-    holes: Sequence[tuple[int, int]] = (),
-    drops: int | None = None,
-) -> Quality:
-    """Return the bounds for the datagrams that a capture missed.
-
-    Args:
-        rows: table with each datagram once, in order of time.
-        payloads: contents of these rows.
-        instances: instances of cFS that made these rows.
-        streams: streams of these rows.
-        hops: pairs of streams in and out of cFS with common messages.
-        tracks: instance to the history of its bus counters.
-        holes: spans (start, end), ns, in which nothing was captured.
-        drops: count as in ``Quality``.
-    """
+def assess_quality(case: Case) -> Quality:
+    """Return the bounds for the datagrams that a capture missed."""
+    rows, instances, holes, drops = case.rows, case.instances, case.all_holes, case.capture.drops
     evidence = [
-        *check_identifications(rows, instances.hosts),
-        *check_inputs(rows, hops, instances.hosts, holes),
-        *check_ci_counts(rows, payloads, instances, holes),
-        *check_sequence_counts(rows, streams, instances, tracks, holes),
-        *check_periods(rows, streams, instances.hosts, holes),
+        *_check_identifications(rows, instances.hosts),
+        *_check_inputs(rows, case.hops, instances.hosts, holes),
+        *_check_ci_counts(rows, case.payloads, instances, holes),
+        *_check_sequence_counts(rows, case.streams, instances, case.tracks, holes),
+        *_check_periods(rows, case.streams, instances.hosts, holes),
     ]
-    return Quality(tuple(item for item in evidence if item.checked), drops)
+    evidence = [item for item in evidence if item.checked]
+    # Cut frames cannot be matched with their answers, but CI's surplus over the capture still counts.
+    if rows.has(Finding.CAPTURE_CUT).any() and not Quality(tuple(evidence)).lacks_answered:
+        counts = (
+            (item.endpoint, item.read_count + item.not_captured, item.not_captured) for item in case.ingests
+        )
+        evidence += [Evidence("ci_counts", *item) for item in counts if item[2]]
+    once, alone = len(rows) - (twice := case.prepared.copies), case.prepared.perhaps_undelivered
+    if once < twice and not alone.any():  # Lincoln-Petersen
+        evidence.append(Evidence("copies", NOBODY, twice, once**2 // (4 * twice)))
+    # What either of two places has says nothing of what one of them missed.
+    merged = alone.any() and not case.capture.astray
+    return Quality(tuple(item for item in evidence if not (merged and item.kind == "periods")), drops)
 
 
-def check_identifications(rows: Rows, hosts: NDArray[np.int32]) -> Iterator[Evidence]:
+def _check_identifications(rows: Rows, hosts: NDArray[np.int32]) -> Iterator[Evidence]:
     """Yield for each sender and receiver the identifications between two captured ones (rule 1).
 
     Args:
@@ -280,17 +271,17 @@ def _between(time_ns: Integers, identification: NDArray[np.uint16]) -> tuple[int
     different = np.concatenate(([True], (np.diff(ahead) != 0) | (np.diff(run) != 0)))
     run, ahead, time_ns, odd = run[different], ahead[different], time_ns[different], odd[different]
 
-    def both(places: int, step: int) -> int:
-        """Count pairs of odd numbers ``places`` rows and ``step`` numbers apart, within a tick."""
+    def both(places: int) -> int:
+        """Count pairs of odd numbers that follow each other, ``places`` rows apart, within a tick."""
         near = (run[places:] == run[:-places]) & (np.abs(time_ns[places:] - time_ns[:-places]) < _TICK_NS)
-        return int((near & odd[:-places] & (ahead[places:] - ahead[:-places] == step)).sum())
+        return int((near & odd[:-places] & (ahead[places:] - ahead[:-places] == 2)).sum())
 
-    captured, missing = both(2, 2), both(1, 2)
+    captured, missing = both(2), both(1)
     return captured + missing, missing
 
 
-def check_inputs(
-    rows: Rows, hops: Sequence[Hop], hosts: NDArray[np.int32], holes: Sequence[tuple[int, int]] = ()
+def _check_inputs(
+    rows: Rows, hops: Sequence[Hop], hosts: NDArray[np.int32], holes: Sequence[tuple[int, int]]
 ) -> Iterator[Evidence]:
     """Yield for each stream into cFS the messages made from its commands (rule 2).
 
@@ -321,8 +312,8 @@ def check_inputs(
     yield from best.values()
 
 
-def check_ci_counts(
-    rows: Rows, payloads: Payloads, instances: Instances, holes: Sequence[tuple[int, int]] = ()
+def _check_ci_counts(
+    rows: Rows, payloads: Payloads, instances: Instances, holes: Sequence[tuple[int, int]]
 ) -> Iterator[Evidence]:
     """Yield for each CI the datagrams that it counted between times at which its socket was empty (rule 3).
 
@@ -375,12 +366,12 @@ def _rests(
     return totals[usable], captured[usable]
 
 
-def check_sequence_counts(
+def _check_sequence_counts(
     rows: Rows,
     streams: Sequence[Stream],
     instances: Instances,
     tracks: Mapping[int, Track],
-    holes: Sequence[tuple[int, int]] = (),
+    holes: Sequence[tuple[int, int]],
 ) -> Iterator[Evidence]:
     """Yield for each stream the sequence counts while the bus counted no loss (rule 4).
 
@@ -407,8 +398,8 @@ def check_sequence_counts(
         yield Evidence("sequence_counts", sender, int(usable.sum()), int((usable & absent).sum()))
 
 
-def check_periods(
-    rows: Rows, streams: Sequence[Stream], hosts: NDArray[np.int32], holes: Sequence[tuple[int, int]] = ()
+def _check_periods(
+    rows: Rows, streams: Sequence[Stream], hosts: NDArray[np.int32], holes: Sequence[tuple[int, int]]
 ) -> Iterator[Evidence]:
     """Yield for each stream into cFS with an even rate its periods, and those without a message (rule 5).
 
@@ -497,11 +488,8 @@ def largest_number(count: int, checked: int, missing: int, confidence: float = C
     If datagrams are missed at random, the missing ones spread over checked and unchecked datagrams in
     proportion. The result is the largest number that the confidence does not exclude.
     """
-
-    def is_unlikely(number: int) -> bool:
-        return hypergeometric_tail(missing, checked, count, number + missing) < 1 - confidence
-
-    return bisect_left(range(1, count + 1), True, key=is_unlikely)
+    tail = partial(hypergeometric_tail, missing, checked, count)
+    return bisect_left(range(1, count + 1), True, key=lambda most: tail(most + missing) < 1 - confidence)
 
 
 def hypergeometric_tail(most: int, checked: int, others: int, drawn: int) -> float:

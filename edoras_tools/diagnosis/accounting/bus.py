@@ -177,7 +177,7 @@ class Telemetry:
             if not stream.link.only_to_cfs:
                 self._claim(stream)
                 # Damaged packets before the first good one or after the last lie in no gap.
-                times, when = stream.time_ns, case.damaged_of(stream).time_ns
+                times, when = stream.time_ns, case.damaged[stream].time_ns
                 outside = (when < times[0]) | (when > times[-1]) | (not stream.counted)
                 self.ends[stream]["damaged"] += int(outside.sum())
         # A proxy may have dropped some before a stream's first message or after its last.
@@ -327,7 +327,7 @@ class Telemetry:
         """Return how many missing messages after each row a proxy or damage explains, i64 (rows,)."""
         numbers = np.zeros(len(stream), np.int64)
         dropped = self._case.faults_on(stream).counts(peers=stream.link.peers)
-        damaged = self._case.damaged_of(stream).sequence_count.astype(np.int64).tolist()
+        damaged = self._case.damaged[stream].sequence_count.astype(np.int64).tolist()
         before = self._case.rows.sequence_count[stream.rows].astype(np.int64)
         both: tuple[tuple[GapEnd, list[int]], ...] = ("proxied", dropped), ("damaged", damaged)
         for ending, counts in both:

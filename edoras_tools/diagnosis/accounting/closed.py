@@ -585,11 +585,11 @@ class Stops:
             if item.end_ns is not None and last_ns > item.end_ns:
                 # It was back within a round, and lost what CI had handed over together with the command.
                 since_ns = item.start_ns - self._case.profile.ci_wake_ns
-                self._hold(fate, fate.open & (times > since_ns) & (times < item.end_ns))
+                fate.end("held", fate.open & (times > since_ns) & (times < item.end_ns))
         if item.app in executive_services.SCHEDULERS:
             inside &= ~fate.newer  # nobody woke the application: it kept the newest
             if NEVER in {until_ns, last_ns or NEVER}:  # the capture does not show which was the newest
-                self._hold(fate, inside)
+                fate.end("held", inside)
                 inside = np.zeros(len(times), bool)
         back_ns = NEVER if item.end_ns is None or until_ns <= item.end_ns + TAIL_NS else item.end_ns
         self.mark(fate, inside & (times <= back_ns), "stopped", item.app, item.witness)
@@ -628,15 +628,9 @@ class Stops:
         inside = inside & (times <= back_ns)
         unsure = inside & ((times <= item.start_ns + round_ns) | (times > back_ns - round_ns))
         if item.app not in executive_services.SCHEDULERS:
-            self._hold(fate, unsure)
+            fate.end("held", unsure)
             inside = inside & ~unsure
         return inside
-
-    @staticmethod
-    def _hold(fate: Fate, unsure: Mask) -> None:
-        """Give messages the fate "held": the application may have received them before it ended."""
-        fate.open &= ~unsure
-        fate.ends["held"] += int(unsure.sum())
 
     def _mark_closed(self, fate: Fate) -> None:
         """Mark the messages that came over SBN, or were to leave over it, while it was closed (rule 11)."""
@@ -704,7 +698,7 @@ class Stops:
         rows, arrived = np.flatnonzero(inside), np.flatnonzero(fate.arrived)
         if fate.keeps_newest and len(rows) and len(arrived) and not arrived[0] < rows[0] < arrived[-1]:
             last = [alike[-1:] for alike in (rows[newest[rows]], rows[~newest[rows]])]
-            self._hold(fate, np.isin(np.arange(len(inside)), np.concatenate(last)))
+            fate.end("held", np.isin(np.arange(len(inside)), np.concatenate(last)))
 
     def _mark_unread(self, fate: Fate) -> None:
         """Mark messages that came over SBN while it surely did not run; their way out is not captured."""

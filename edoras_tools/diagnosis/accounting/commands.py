@@ -175,7 +175,7 @@ class Commands:
         case, sent = self._case, fate.stream.time_ns
         for hop in (hop for hop in fate.hops if hop.out.link.last_hop):
             out_ns, into = hop.out.time_ns[hop.out_rows], hop.in_rows
-            for when in case.damaged_of(hop.out).time_ns.tolist():
+            for when in case.damaged[hop.out].time_ns.tolist():
                 at = int(np.searchsorted(out_ns, when))
                 inside = fate.open & (sent < when) & (sent > when - TAIL_NS)
                 first, last = into[at - 1] if at else 0, into[at] if at < len(into) else len(sent)
@@ -333,7 +333,7 @@ class Commands:
             # It may have read these; also in its first round, of which the application kept the newest.
             late = (times > item.asked_ns) & (not item.restarted)
             late |= (times > bounds[hole + 1] - case.profile.ci_wake_ns) & fate.keeps_newest
-            fate.ends["crowded"] += fate.claim(np.flatnonzero(inside & late))
+            fate.end("crowded", inside & late)
             kind: LossKind = "restart" if item.restarted else "ci_stopped"
             stops.mark(fate, inside, kind, LOST_AT[kind], item.witness)
 

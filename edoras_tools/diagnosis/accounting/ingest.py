@@ -774,8 +774,7 @@ class BeforeCi:
         for start_ns, end_ns in account.ended:
             for fate in fates:
                 times = fate.stream.time_ns
-                inside = np.flatnonzero(fate.open & (times > start_ns) & (times <= end_ns))
-                fate.ends["crowded"] += fate.claim(inside)
+                fate.end("crowded", fate.open & (times > start_ns) & (times <= end_ns))
         for before in account.losses:
             self._before_ci(account, before)
         outages = [item for item in self._case.outages if item.app in command_ingest.NAMES]
@@ -884,9 +883,7 @@ class BeforeCi:
         both = (item for item in pairwise(errors_ns.tolist()) if item[1] - item[0] > 2 * long_ns)
         spans = [(start + long_ns, end - long_ns) for start, end in both]
         for fate, own in (item for item in may if not item[0].seen):  # of others CI read what came out
-            inside = own & overlapping(fate.stream.time_ns, fate.stream.time_ns, spans)
-            number += (part := fate.claim(np.flatnonzero(inside)))
-            fate.ends["crowded"] += part
+            number += fate.end("crowded", own & overlapping(fate.stream.time_ns, fate.stream.time_ns, spans))
         return number
 
     def _open(self, fates: Sequence[Fate], before: Before, since_ns: int) -> list[_May]:
@@ -975,9 +972,7 @@ class BeforeCi:
         late = own[len(own) - min(number, len(own)) :]
         for fate in fates:
             if not fate.seen:
-                behind = fate.open & (fate.stream.time_ns > account.last_ns)
-                fate.ends["late"] = int(behind.sum())
-                fate.open &= ~behind
+                fate.end("late", fate.open & (fate.stream.time_ns > account.last_ns))
             waiting = np.isin(fate.stream.rows, late)
             # More than a socket usually holds can wait only if it was given more room.
             beyond = int(np.isin(fate.stream.rows, late[: -self._case.profile.socket_queue]).sum())

@@ -285,6 +285,12 @@ class Fate:
         self.open[own] = self.blind[own] = False
         return len(own)
 
+    def end(self, how: End, some: Mask) -> int:
+        """End those of some messages in one way that are open or blind; return their number."""
+        number = self.claim(np.flatnonzero(some))
+        self.ends[how] += number
+        return number
+
     def loss(
         self, kind: LossKind, rows: Places, evidence: list[str], hop: str = "", among: Places | None = None
     ) -> Loss:

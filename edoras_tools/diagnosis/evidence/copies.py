@@ -515,7 +515,10 @@ def crowding(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> str:
         own: rows of one MsgId to one receiver, in order of time.
         endpoints: endpoints that the rows index.
     """
-    return _several_senders(rows, own, endpoints) or _echoes(rows, own)
+    if times := senders_at_once(rows, own):
+        each = ", ".join(f"{endpoints[source]} at {_hz(at)}" for source, at in times.items())
+        return f"{len(times)} senders sent it at once ({each})"
+    return _echoes(rows, own)
 
 
 def senders_at_once(rows: Rows, own: Places) -> dict[int, Integers]:
@@ -533,13 +536,6 @@ def senders_at_once(rows: Rows, own: Places) -> dict[int, Integers]:
     if any(2 * int(((at >= start_ns) & (at <= end_ns)).sum()) < len(at) for at in times.values()):
         return {}
     return times
-
-
-def _several_senders(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> str:
-    if not (times := senders_at_once(rows, own)):
-        return ""
-    each = ", ".join(f"{endpoints[source]} at {_hz(at)}" for source, at in times.items())
-    return f"{len(times)} senders sent it at once ({each})"
 
 
 def find_echoes(rows: Rows, own: Places) -> Mask:

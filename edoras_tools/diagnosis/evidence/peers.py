@@ -16,7 +16,6 @@ Rules:
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import Counter
 from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
@@ -171,7 +170,6 @@ class Network:
     Attributes:
         identity_of: endpoint to the identity that sends from it.
         connections: (peer, observer) to their connection.
-        datagrams: identity to the number of datagrams that it sent.
     """
 
     def __init__(
@@ -193,7 +191,6 @@ class Network:
         self.connections: dict[tuple[SbnParty, SbnParty], Connection] = {}
         self._outages = outages
         self._hosts = instances.hosts
-        self.datagrams: Counter[str] = Counter()
         self._timeout_ns = profile.sbn_timeout_s * SECOND
         self._seldom_ns = (profile.sbn_heartbeat_s + 1) * SECOND
         network = np.flatnonzero(rows.on(lambda link: link.peers) & (rows.sbn_msg_type >= 0))
@@ -217,7 +214,6 @@ class Network:
             party = name, int(self._hosts[source])
             if number >= _LEAST_ROWS or party in map(self.party, self.identity_of):
                 self.identity_of[source] = name
-            self.datagrams[name] += number
 
     def party(self, endpoint: int) -> SbnParty:
         """Return the party at an endpoint; the address distinguishes two with one identity."""

@@ -86,8 +86,7 @@ class Hop(NamedTuple):
         sole: bool (rows of ``out``,), the fingerprint comes out once, and goes in at most once.
         again: u8 (rows of ``out``,), 0 but for one without a match where an equal one that was matched came
             out: 1 directly behind an equal one, 2 behind others, as late copies do.
-        latency: delays of messages whose fingerprint goes in once; None without any.
-        delays_ns: i64, the delay of each of these.
+        delays_ns: i64, the delay of each message that came out and whose fingerprint goes in once.
         out_ns: i64, the time at which each of these came out.
         last_ns: longest delay of all that came out.
         in_rows: intp, messages that came out, as indices into the rows of ``into``.
@@ -104,7 +103,6 @@ class Hop(NamedTuple):
     origin: Places
     sole: Mask
     again: NDArray[np.uint8]
-    latency: Latency | None
     delays_ns: Integers
     out_ns: Integers
     last_ns: int
@@ -135,6 +133,11 @@ class Hop(NamedTuple):
     def first(self) -> tuple[int, int]:
         """Times of the first message: when it came out, and when it went in, ns since 1970."""
         return int(self.out.time_ns[self.out_rows[0]]), int(self.into.time_ns[self.in_rows[0]])
+
+    @property
+    def latency(self) -> Latency | None:
+        """The delays in ``delays_ns`` as figures; None without any."""
+        return latency_of(self.delays_ns)
 
     @property
     def absent(self) -> Mask:
@@ -502,7 +505,6 @@ def _match(into: Stream, out: Stream, came: Prints, went: Prints, early_ns: int)
         origin=from_,
         sole=(went != 0) & (out_often == 1) & (number[went_as] <= 1),
         again=np.where(np.diff(went_as, prepend=-1) != 0, np.uint8(2), np.uint8(1)) * repeated,
-        latency=latency_of(delay[single]),
         delays_ns=delay[single],
         out_ns=out_ns[goes_row][single],
         last_ns=int(delay.max(initial=0)),

@@ -228,7 +228,11 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
             "time runs back from one packet to the next"
             if jump.by_ns < 0 and own
             else "mission time and the capture's part ways here, and sequence counts go on: no restart",
-            *(() if own else _commands_to_clock(case, when)),
+            *(
+                f"sent at {case.at(span.start_lo)}: {span.change.witness}"
+                for span in (() if own else case.timeline.every("set"))
+                if span.start_lo - SECOND <= when <= span.start_hi
+            ),
             hop="capture" if own else "cFS",
             span=(when, when),
             remedy="discipline the clock (chrony), and do not set it while capturing"
@@ -236,13 +240,6 @@ def clock_jump(case: Case) -> Iterator[Verdict]:
             else "see who sends TIME commands (0x1805); mission times before and after do not compare",
             confidence="high" if own and jump.by_ns < 0 else "medium",
         )
-
-
-def _commands_to_clock(case: Case, when: int) -> Iterator[str]:
-    """Yield the commands that set a clock at a time, and when each was sent."""
-    for span in case.timeline.every("set"):
-        if span.start_lo - SECOND <= when <= span.start_hi:
-            yield f"sent at {case.at(span.start_lo)}: {span.change.witness}"
 
 
 def proxy_faults(case: Case) -> Iterator[Verdict]:
