@@ -112,7 +112,7 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     rounds = [] if to_cfs else [clean_round(case, loss) for loss in lost_at_pipe]
     if rates := [queue.rate_hz(most) for queue, most, measured in rounds if measured]:
         return round(max(rates), 1), "measured"
-    assumed_hz, _, _ = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
+    assumed_hz, _, _, names = limit(stream.link, stream.msg_id, case.profile, to_cfs=to_cfs)
     if lost_at_pipe and assumed_hz and (lossless_hz := case.lossless_hz(stream, assumed_hz)):
         return round(lossless_hz, 1), "measured"
     fate = case.commands.fates.get(stream)
@@ -120,11 +120,6 @@ def clean_rate(case: Case, stream: Stream) -> tuple[float | None, Literal["measu
     fastest_hz = max((span.offered_hz for span in stream.spans), default=0.0)
     if not assumed_hz or (arrives and not lost_at_pipe and fastest_hz > _OVER * assumed_hz):
         return None, None
-    names: tuple[str | int, ...] = ("ci_wake_ns", "app_msg_limit")
-    if stream.link.only_from_cfs:
-        names = ("to_wake_ns", stream.msg_id)
-    elif stream.link.peers:
-        names = ("sbn_wake_ns", "app_msg_limit" if to_cfs else "sbn_msg_limit")
     return assumed_hz, "measured" if case.origin(*names) == "told" else "assumed"
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.diagnosis.matching.streams import Stream, bursts, full_where_lacking
+from edoras_tools.diagnosis.matching.streams import bursts, full_where_lacking
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays import Integers, groups
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, ReportedLoss
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.crossing import Hop
 
@@ -98,7 +97,7 @@ def learn_constants(case: Case) -> Constants:
     for name, item in rounds.items():
         if _usual(assumed, name) and abs(item / getattr(assumed, name) - 1) > _ALIKE:
             profile = replace(profile, **{name: item})
-    limits = _limits(assumed, streams, case.reported_losses) if "to_wake_ns" in rounds else {}
+    limits = _limits(case) if "to_wake_ns" in rounds else {}
     names: set[str | int] = {*rounds, *limits, *assumed.stated}
     profile = replace(profile, to_limits={**assumed.to_limits, **limits})
     lacking = sum(int(item.missing.sum()) for item in streams if item.link.only_from_cfs)
@@ -110,12 +109,11 @@ def learn_constants(case: Case) -> Constants:
     return Constants(profile, rounds, frozenset(names))
 
 
-def _limits(
-    assumed: SimProfile, streams: Sequence[Stream], losses: Mapping[ReportedLoss, LossEvents]
-) -> dict[int, int]:
+def _limits(case: Case) -> dict[int, int]:
     """Return MsgId to its limit at Telemetry Output, for each MsgId whose full rounds show it (rule 2)."""
     limits: dict[int, int] = {}
-    at_output = {item.msg_id for item in losses if item.kind == "limit" and item.at_output}
+    assumed, streams = case.assumed, case.streams
+    at_output = {item.msg_id for item in case.reported_losses if item.kind == "limit" and item.at_output}
     uses = Counter((item.sender, item.msg_id) for item in streams)
     for stream in streams:
         limit = assumed.to_limits.get(stream.msg_id)

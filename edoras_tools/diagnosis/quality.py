@@ -49,21 +49,19 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
+from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays import by_key, by_value, distinct, groups, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import Track
-    from edoras_tools.diagnosis.evidence.payloads import Payloads
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.model import HostCounters
     from edoras_tools.wire.arrays import Integers, Mask, Places
@@ -221,15 +219,8 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
 
 def assess_quality(case: Case) -> Quality:
     """Return the bounds for the datagrams that a capture missed."""
-    rows, instances, holes, drops = case.rows, case.instances, case.all_holes, case.capture.drops
-    evidence = [
-        *_check_identifications(rows, instances.hosts),
-        *_check_inputs(rows, case.hops, instances.hosts, holes),
-        *_check_ci_counts(rows, case.payloads, instances, holes),
-        *_check_sequence_counts(rows, case.streams, instances, case.tracks, holes),
-        *_check_periods(rows, case.streams, instances.hosts, holes),
-    ]
-    evidence = [item for item in evidence if item.checked]
+    rows, checks = case.rows, (_identifications, _inputs, _ci_counts, _sequence_counts, _periods)
+    evidence = [item for check in checks for item in check(case) if item.checked]
     # Cut frames cannot be matched with their answers, but CI's surplus over the capture still counts.
     if rows.has(Finding.CAPTURE_CUT).any() and not Quality(tuple(evidence)).lacks_answered:
         counts = (
@@ -241,15 +232,13 @@ def assess_quality(case: Case) -> Quality:
         evidence.append(Evidence("copies", NOBODY, twice, once**2 // (4 * twice)))
     # What either of two places has says nothing of what one of them missed.
     merged = alone.any() and not case.capture.astray
-    return Quality(tuple(item for item in evidence if not (merged and item.kind == "periods")), drops)
+    fair = (item for item in evidence if not (merged and item.kind == "periods"))
+    return Quality(tuple(fair), case.capture.drops)
 
 
-def _check_identifications(rows: Rows, hosts: NDArray[np.int32]) -> Iterator[Evidence]:
-    """Yield for each sender and receiver the identifications between two captured ones (rule 1).
-
-    Args:
-        hosts: i32, number of the address of each endpoint.
-    """
+def _identifications(case: Case) -> Iterator[Evidence]:
+    """Yield for each sender and receiver the identifications between two captured ones (rule 1)."""
+    rows, hosts = case.rows, case.instances.hosts
     own = np.flatnonzero((rows.identification != 0) & ~rows.streamed)
     _, pair = numbered(hosts.take(rows.source[own]), hosts.take(rows.destination[own]))
     for _, members in by_value(pair):
@@ -280,18 +269,11 @@ def _between(time_ns: Integers, identification: NDArray[np.uint16]) -> tuple[int
     return captured + missing, missing
 
 
-def _check_inputs(
-    rows: Rows, hops: Sequence[Hop], hosts: NDArray[np.int32], holes: Sequence[tuple[int, int]]
-) -> Iterator[Evidence]:
-    """Yield for each stream into cFS the messages made from its commands (rule 2).
-
-    Args:
-        hosts: i32, number of the address of each endpoint.
-        holes: spans (start, end), ns, in which nothing was captured.
-    """
-    start_ns = int(rows.time_ns[0]) if len(rows) else 0
+def _inputs(case: Case) -> Iterator[Evidence]:
+    """Yield for each stream into cFS the messages made from its commands (rule 2)."""
+    rows = case.rows
     best: dict[Stream, Evidence] = {}
-    for members in by_key(hops, lambda hop: hop.out.way).values():
+    for members in by_key(case.hops, lambda hop: hop.out.way).values():
         longest_ns = max(hop.last_ns for hop in members)
         leaving = distinct(np.concatenate([hop.out.rows for hop in members]))
         sole, captured = np.zeros((2, len(leaving)), bool)
@@ -300,11 +282,11 @@ def _check_inputs(
             sole[place] |= hop.sole & (hop.single.sum() >= _MOSTLY_ONCE * max(len(hop.single), 1))
             captured[place] |= hop.origin >= 0
         when = rows.time_ns[leaving]
-        early = when - start_ns <= _START_NS + 2 * longest_ns
-        usable = sole & ~early & ~overlapping(when - longest_ns - _START_NS, when, holes)
+        early = when - case.start_ns <= _START_NS + 2 * longest_ns
+        usable = sole & ~early & ~overlapping(when - longest_ns - _START_NS, when, case.all_holes)
         if usable.any() and captured[usable].mean() >= _ALIKE:
             into = members[0].into
-            sender = int(hosts[rows.source[into.rows[0]]])
+            sender = int(case.instances.hosts[rows.source[into.rows[0]]])
             evidence = Evidence("inputs", sender, int(usable.sum()), int((usable & ~captured).sum()))
             # A stream whose messages come out on several ways is checked by one of these.
             if evidence.checked > (best[into].checked if into in best else 0):
@@ -312,16 +294,10 @@ def _check_inputs(
     yield from best.values()
 
 
-def _check_ci_counts(
-    rows: Rows, payloads: Payloads, instances: Instances, holes: Sequence[tuple[int, int]]
-) -> Iterator[Evidence]:
-    """Yield for each CI the datagrams that it counted between times at which its socket was empty (rule 3).
-
-    Args:
-        holes: spans (start, end), ns, in which nothing was captured.
-    """
+def _ci_counts(case: Case) -> Iterator[Evidence]:
+    """Yield for each CI the datagrams that it counted between two times with an empty socket (rule 3)."""
+    rows, instances, samples = case.rows, case.instances, case.payloads.ingest
     to_ci = np.flatnonzero(rows.on(lambda link: link.only_to_cfs))
-    samples = payloads.ingest
     whose = instances.of_row[samples["row"]]
     own = np.flatnonzero(whose != NOBODY)
     systems = instances.system_of_row[samples["row"][own]]
@@ -335,7 +311,7 @@ def _check_ci_counts(
         order = np.argsort(made_ns, kind="stable")
         made_ns, part = made_ns[order], part[order]
         total = samples["packets"][part] + samples["errors"][part]
-        totals, captured = _rests(rows.time_ns[mine], made_ns, total, holes)
+        totals, captured = _rests(rows.time_ns[mine], made_ns, total, case.all_holes)
         if len(totals) and (captured <= totals).all():
             sender = int(np.bincount(instances.hosts[rows.source[mine]]).argmax())
             yield Evidence("ci_counts", sender, int(totals.sum()), int((totals - captured).sum()))
@@ -366,21 +342,11 @@ def _rests(
     return totals[usable], captured[usable]
 
 
-def _check_sequence_counts(
-    rows: Rows,
-    streams: Sequence[Stream],
-    instances: Instances,
-    tracks: Mapping[int, Track],
-    holes: Sequence[tuple[int, int]],
-) -> Iterator[Evidence]:
-    """Yield for each stream the sequence counts while the bus counted no loss (rule 4).
-
-    Args:
-        tracks: instance to the history of its bus counters.
-        holes: spans (start, end), ns, in which nothing was captured.
-    """
-    for stream in streams:
-        track = tracks.get(stream.instance)
+def _sequence_counts(case: Case) -> Iterator[Evidence]:
+    """Yield for each stream the sequence counts while the bus counted no loss (rule 4)."""
+    instances = case.instances
+    for stream in case.streams:
+        track = case.tracks.get(stream.instance)
         if not (stream.counted and stream.link.from_cfs and track and len(track.times) > 1):
             continue
         own = stream.rows
@@ -393,21 +359,15 @@ def _check_sequence_counts(
         absent = np.ones(len(of), bool)
         absent[last] = False
         start_ns, end_ns = when - _ROUNDS_NS, when + _ROUNDS_NS
-        usable = _quiet(track, start_ns, end_ns) & ~overlapping(start_ns, end_ns, holes)
-        sender = int(instances.hosts[rows.source[own[0]]])
+        usable = _quiet(track, start_ns, end_ns) & ~overlapping(start_ns, end_ns, case.all_holes)
+        sender = int(instances.hosts[case.rows.source[own[0]]])
         yield Evidence("sequence_counts", sender, int(usable.sum()), int((usable & absent).sum()))
 
 
-def _check_periods(
-    rows: Rows, streams: Sequence[Stream], hosts: NDArray[np.int32], holes: Sequence[tuple[int, int]]
-) -> Iterator[Evidence]:
-    """Yield for each stream into cFS with an even rate its periods, and those without a message (rule 5).
-
-    Args:
-        hosts: i32, number of the address of each endpoint.
-        holes: spans (start, end), ns, in which nothing was captured.
-    """
-    for stream in streams:
+def _periods(case: Case) -> Iterator[Evidence]:
+    """Yield for each stream into cFS with an even rate its periods, and those without a message (rule 5)."""
+    hosts, holes = case.instances.hosts, case.all_holes
+    for stream in case.streams:
         for span in () if stream.link.only_from_cfs else stream.spans:
             times = stream.time_ns[span.rows]
             steps = np.diff(times)
@@ -417,7 +377,7 @@ def _check_periods(
                 even = (periods >= 1) & (np.abs(steps - periods * period) <= _EVEN * period)
                 if even.mean() >= _MOSTLY_ONCE:
                     valid = even & (periods <= _MOST_PERIODS) & ~overlapping(times[:-1], times[1:], holes)
-                    passed, sender = int(periods[valid].sum()), int(hosts[rows.source[stream.rows[0]]])
+                    passed, sender = int(periods[valid].sum()), int(hosts[case.rows.source[stream.rows[0]]])
                     yield Evidence("periods", sender, passed, passed - int(valid.sum()))
                     break
 

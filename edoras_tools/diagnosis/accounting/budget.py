@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
@@ -89,45 +89,54 @@ def _unlisted(link: FlightLink, profile: SimProfile) -> tuple[str, ...]:
     return ()
 
 
-def limit(link: Link, msg_id: int, profile: SimProfile, *, to_cfs: bool) -> tuple[float, str, str]:
-    """Return the highest clean rate of a MsgId on a link, where the limit is, and why."""
+class RouteLimit(NamedTuple):
+    """The highest clean rate of a MsgId on a link.
+
+    Attributes:
+        hz: messages a second that get through without loss, evenly sent; 0 if nothing limits them.
+        hop: where the limit is.
+        reason: why.
+        constants: names of the constants of cFS that it follows from, and MsgIds.
+    """
+
+    hz: float
+    hop: str
+    reason: str
+    constants: tuple[str | int, ...]
+
+
+def limit(link: Link, msg_id: int, profile: SimProfile, *, to_cfs: bool) -> RouteLimit:
+    """Return the highest clean rate of a MsgId on a link."""
+    constants: tuple[str | int, ...]
     if link.only_to_cfs:
-        socket = queues.ci_socket(profile)
+        pipe, socket = queues.application_pipe(profile), queues.ci_socket(profile)
+        most, hop, constants = pipe.usual_limit, "application pipe", ("ci_wake_ns", "app_msg_limit")
         text = "the application's pipe takes {} of one MsgId, and CI delivers every {} ms"
-        return _rate(
-            queues.application_pipe(profile),
-            profile.app_msg_limit,
-            "application pipe",
-            f"{text} ({socket.rate_hz(socket.reads):g}/s of all together)",
-        )
-    if link.only_from_cfs:
-        pipe = queues.telemetry_pipe(profile)
+        text += f" ({socket.rate_hz(socket.reads):g}/s of all together)"
+    elif link.only_from_cfs:
+        pipe, hop, constants = queues.telemetry_pipe(profile), "TO_LAB_TLM_PIPE", ("to_wake_ns", msg_id)
         room = pipe.depth - _HOUSEKEEPING_HZ * pipe.round_ns // SECOND
+        most = min(pipe.limit(msg_id), room)
         text = "Telemetry Output's table lets {} of the MsgId wait, and TO sends every {} ms"
-        if pipe.limit(msg_id) >= room:
+        if most == room:
             text = "Telemetry Output's pipe has room for {} beside housekeeping, and TO sends every {} ms"
-        return _rate(pipe, min(pipe.limit(msg_id), room), "TO_LAB_TLM_PIPE", text)
-    if not to_cfs:
-        pipe = queues.peer_pipe(profile)
+    elif not to_cfs:
+        pipe, constants = queues.peer_pipe(profile), ("sbn_wake_ns", "sbn_msg_limit")
+        most, hop = pipe.usual_limit, "SBN peer pipe"
         text = "the SBN peer's pipe takes {} of one MsgId, and SBN serves it every {} ms"
-        return _rate(pipe, pipe.usual_limit, "SBN peer pipe", text)
-    if profile.sbn_polls:
+    else:
+        hop, constants = "application pipe", ("sbn_wake_ns", "app_msg_limit")
+        if not profile.sbn_polls:
+            text = "SBN delivers at once: no limit but the application's own speed; 20/s where SBN polls"
+            return RouteLimit(0.0, hop, text, constants)
         pipe = queues.application_pipe(profile, over_network=True)
+        most = pipe.usual_limit
         text = "the application's pipe takes {} of one MsgId, and SBN polls every {} ms"
-        return _rate(pipe, pipe.usual_limit, "application pipe", text)
-    return (
-        0.0,
-        "application pipe",
-        "SBN delivers at once: no limit but the application's own speed; 20/s where SBN polls",
-    )
-
-
-def _rate(queue: queues.Queue, count: int, hop: str, text: str) -> tuple[float, str, str]:
-    return queue.rate_hz(count), hop, text.format(count, queue.round_ns // 1_000_000)
+    return RouteLimit(pipe.rate_hz(most), hop, text.format(most, pipe.round_ns // 1_000_000), constants)
 
 
 def _budget(route: Route, types: TypeStore, profile: SimProfile, headers: cfe.Headers) -> Budget:
-    limit_hz, hop, reason = limit(route.link, route.msg_id, profile, to_cfs=route.to_cfs)
+    limit_hz, hop, reason, _ = limit(route.link, route.msg_id, profile, to_cfs=route.to_cfs)
     fixed = types.fixed_size(route.type) if types.has(route.type) else None
     size = None
     if fixed is not None:

@@ -412,7 +412,7 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
         own = loss.stream
         if loss.kind != "unknown" or own is None:
             continue
-        clean, pipe, why = limit(own.link, loss.msg_id, case.profile, to_cfs=False)
+        clean, pipe, why, _ = limit(own.link, loss.msg_id, case.profile, to_cfs=False)
         offered, which = loss.offered_hz, f"{loss.lost:,} of {loss.of:,} messages on {case.name(loss.msg_id)}"
         likely = f"published at {offered:.0f}/s; {why}: {clean:g}/s, so {pipe} is the likely place"
         reason = f"{which} missing behind the last place that counts them; the capture cannot show where"

@@ -299,7 +299,7 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
     for stream in case.streams:
         if stream.link is not CI or len(stream) < _LEAST or stream.known_id in MSG_ID_NAMES:
             continue
-        clean, hop, why = limit(CI, stream.msg_id, case.profile, to_cfs=True)
+        clean, hop, why, _ = limit(CI, stream.msg_id, case.profile, to_cfs=True)
         usual = float(np.median(np.diff(stream.time_ns)))
         rate = SECOND / usual if usual > 0 else 0.0
         lost = sum(loss.lost for loss in case.losses_of(stream))
