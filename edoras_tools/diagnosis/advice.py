@@ -172,14 +172,6 @@ def _entries(case: Case, loss: Loss) -> tuple[Sequence[Change], list[Change]]:
     return changes, [item for old, item in pairwise(changes) if old.state == "unsubscribed"]
 
 
-def set_by(case: Case, loss: Loss, limit: int) -> str:
-    """Return when a command set the limit that held during a loss, in brackets; empty if none did."""
-    command = limit_command(case, loss)
-    if command is None or command.value != limit:
-        return ""
-    return f" (set by a command at {case.at(command.not_before_ns)})"
-
-
 def _other_limits(case: Case, losses: Iterable[Loss], worst: Loss) -> str:
     """Return other commanded limits than that of the worst loss, and the losses at them; empty if none."""
     span = worst.start_ns, worst.end_ns
@@ -248,7 +240,9 @@ def capacity(case: Case, loss: Loss) -> str:
         keeps, names = "TO keeps {} of this MsgId and sends", (loss.msg_id, "to_wake_ns")
         if loss.hop != telemetry_output.PIPE:
             keeps, names = "it keeps {} of this MsgId and SBN empties it", ("sbn_msg_limit", "sbn_wake_ns")
-        origin = set_by(case, loss, limit) or " (measured)" * measured
+        origin, command = " (measured)" * measured, limit_command(case, loss)
+        if command and command.value == limit:
+            origin = f" (set by a command at {case.at(command.not_before_ns)})"
     elif loss.kind == "socket":
         queue = queues.ci_socket(case.profile)
         limit, keeps, names = queue.reads, "CI reads {}", ("ci_wake_ns", "ci_datagrams_per_wake")

@@ -339,7 +339,7 @@ UDP_PORT: Final = "port"
 PORT_CLOSED: Final[LossKind] = "port_closed"
 REFUSED: Final = "unreachable"
 """Causes of a loss; also the names of the rules that report them."""
-_FINE, _UNCERTAIN, _REFUSED, _SHUT = range(4)
+_UNCERTAIN, _REFUSED, _SHUT = 1, 2, 3
 _CAUSES: Final = {_SHUT: PORT_CLOSED, _REFUSED: REFUSED}
 
 
