@@ -85,7 +85,12 @@ class Constants(NamedTuple):
 
 
 def learn_constants(case: Case) -> Constants:
-    """Return the constants of a capture: those that it shows, else the assumed ones."""
+    """Return the constants of a capture: those that it shows, else the assumed ones.
+
+    Args:
+        case: its rows, streams, hops, tracks and reported losses. Whatever follows from constants is not
+            asked for.
+    """
     assumed, rows, streams = case.assumed, case.rows, case.streams
     down = rows.on(lambda link: link.only_from_cfs)
     down &= (rows.duplicates == 0) & (rows.reordered == 0)  # in the order of sending

@@ -201,9 +201,9 @@ def test_budgets_follow_from_the_constants(link, msg_id, to_cfs, hertz):
 
 
 def test_a_high_table_limit_leaves_the_pipe_as_the_limit():
-    hertz, hop, reason = limit(TO, 0x827, SimProfile(to_limits={0x827: 255}), to_cfs=False)
-    assert (hertz, hop) == (90.0, "TO_LAB_TLM_PIPE")
-    assert "beside housekeeping" in reason
+    found = limit(TO, 0x827, SimProfile(to_limits={0x827: 255}), to_cfs=False)
+    assert (found.hz, found.hop) == (90.0, "TO_LAB_TLM_PIPE")
+    assert "beside housekeeping" in found.reason
 
 
 def test_sizes_and_their_traps_are_predicted(tmp_path, lab):
