@@ -227,9 +227,7 @@ class _Pass:
     def locate(self) -> NDArray[np.int32]:
         """Read the links' own headers; return the start of each space packet, -1 if there is none."""
         start = np.zeros(len(self.batch), np.int32)
-        for link in self.context.with_headers:
-            if int(link) not in self.present:
-                continue
+        for link in (link for link in self.context.with_headers if int(link) in self.present):
             rows = np.flatnonzero(self.out["link"] == link)
             located = link.locate(self.batch, rows, self.context)
             start[rows] = located.start

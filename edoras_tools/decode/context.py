@@ -353,9 +353,7 @@ class Context:
 
     def _ports(self) -> dict[Link, Mask]:
         ports: dict[Link, Mask] = {link: np.zeros(65536, bool) for link in self.links}
-        for link, claimed in ports.items():
-            if not link.transport.udp:
-                continue
+        for link, claimed in ((link, claimed) for link, claimed in ports.items() if link.transport.udp):
             claimed[[port for other, port in self.options.ports if other == link and port]] = True
             if link.last_hop:
                 claimed[[port for port, _ in self.structs.ports]] = True

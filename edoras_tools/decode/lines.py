@@ -166,9 +166,7 @@ def message_rows(rows: ColumnRows, whole: Mask, *, commands: bool = True) -> Ite
             continue
         messages = types.columns(route.type, rows.batch.data, offset[owner], length[owner])
         yield MessageRows(owner, route.topic, route.type, messages, types.plan(route.type)[1], None)
-    for bound in structs_of(rows):
-        if bound.command and not commands:
-            continue
+    for bound in (bound for bound in structs_of(rows) if commands or not bound.command):
         owner, messages = held_messages(bound, rows)
         plan = context.structs.types.plan(bound.type)[1]
         yield MessageRows(owner, bound.topic, bound.type, messages, plan, bound)

@@ -296,9 +296,7 @@ class Survey:
             crafts = [{craft for craft, _ in self._met[item]} for item in (end, other)]
             return bool(crafts[0] & crafts[1]) and self._met[end].isdisjoint(self._met[other])
 
-        for end in compared:
-            if end in numbers:
-                continue
+        for end in (end for end in compared if end not in numbers):
             # If several addresses have one number, the last one is compared.
             rivals = {numbers[other]: other for other in compared if other in numbers}
             answers = {number: same(end, other) for number, other in rivals.items()}

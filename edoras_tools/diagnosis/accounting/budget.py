@@ -53,10 +53,7 @@ class Budget(msgspec.Struct, frozen=True):
             "link": self.route.link.label,
             "msg_id": f"0x{self.route.msg_id:04x}",
             "direction": self.route.direction,
-            "limit_hz": self.limit_hz,
-            "hop": self.hop,
-            "reason": self.reason,
-            "bytes": self.bytes,
+            **{name: getattr(self, name) for name in ("limit_hz", "hop", "reason", "bytes")},
             "traps": list(self.traps),
         }
 

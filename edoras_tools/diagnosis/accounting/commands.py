@@ -266,11 +266,8 @@ class Commands:
         items, systems = case.instances.items, case.instances.systems
         said_ns = case.rows.time_ns[case.rows.source == fate.stream.receiver]
         for index, later in enumerate(items):
-            before = [
-                item.last_ns
-                for item, system in zip(items, systems, strict=True)
-                if system == systems[index] and item.last_ns < later.first_ns
-            ]
+            own = (item for item, system in zip(items, systems, strict=True) if system == systems[index])
+            before = [item.last_ns for item in own if item.last_ns < later.first_ns]
             if before and case.goes_to(fate.stream, index):
                 ended_ns, boot_ns = max(before), later.boot_ns(case.profile)
                 if not ended_ns < boot_ns <= later.first_ns:  # its clock begins elsewhere

@@ -173,11 +173,7 @@ class Network:
     """
 
     def __init__(
-        self,
-        rows: Rows,
-        instances: Instances,
-        profile: SimProfile,
-        outages: Sequence[tuple[int, int]] = (),
+        self, rows: Rows, instances: Instances, profile: SimProfile, outages: Sequence[tuple[int, int]] = ()
     ) -> None:
         """Follow every connection.
 

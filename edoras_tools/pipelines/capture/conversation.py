@@ -219,9 +219,7 @@ def _alike(rows: ColumnRows) -> tuple[Places, Places]:
 def _own_kinds(rows: ColumnRows) -> Iterator[Integers]:
     """Number the datagrams without a MsgId by which of their link's headers they have, and its own texts."""
     links = np.where(rows.column("msg_id") == NO_MSG_ID, rows.column("link"), 0)
-    for reader in table.links():
-        if not (links == reader).any():
-            continue
+    for reader in (reader for reader in table.links() if (links == reader).any()):
         kinds = np.zeros(len(rows), np.int64)
         for place, layout in enumerate(reader.layouts):
             kinds[reader.places(layout, rows)[0]] |= 1 << place % 62

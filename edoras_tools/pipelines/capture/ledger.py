@@ -439,11 +439,7 @@ class Ledger:
 
     @staticmethod
     def _count(
-        accounts: list[Account],
-        batch: PacketBatch,
-        columns: Columns,
-        order: Integers,
-        starts: Integers,
+        accounts: list[Account], batch: PacketBatch, columns: Columns, order: Integers, starts: Integers
     ) -> None:
         """Add times, sizes and findings; account ``i`` has the rows ``order[starts[i]:starts[i + 1]]``."""
         times, lengths, findings = batch.time_ns[order], batch.length[order], columns.findings[order]

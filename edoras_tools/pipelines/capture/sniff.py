@@ -48,9 +48,7 @@ def is_number(column: Column) -> bool:
 
 def _column(rows: PacketRows, fields: Sequence[FilterField], clean: Callable[[str], str]) -> list[str]:
     parts: list[list[str]] = []
-    for field in fields:
-        if field.kind is ValueKind.STRUCT:
-            continue
+    for field in (field for field in fields if field.kind is not ValueKind.STRUCT):
         series = field.series(rows)
         texts = texts_of(field, series, clean)
         if series.owner is None:

@@ -116,9 +116,7 @@ def legend(coloured: Sequence[Region], width: int, paint: palette.Paint) -> list
     """Return a legend of the layers in their colours, as lines of at most ``width`` cells."""
     out: list[str] = []
     used = width
-    for item in coloured:
-        if item.end <= item.start:
-            continue
+    for item in (item for item in coloured if item.end > item.start):
         label = clip(f"■ {clean(item.name)} {item.start}-{item.end - 1}", width)
         if used + 3 + cells(label) > width:
             out.append("")

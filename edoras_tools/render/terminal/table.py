@@ -39,11 +39,7 @@ class Column(msgspec.Struct, frozen=True):
 
 
 def build(
-    columns: Sequence[Column],
-    rows: Sequence[Any],
-    width: int,
-    *,
-    apart: Callable[[Any], Any] | None = None,
+    columns: Sequence[Column], rows: Sequence[Any], width: int, *, apart: Callable[[Any], Any] | None = None
 ) -> Table:
     """Return the rows as a table of at most ``width`` cells, as long as the columns of rank 0 fit.
 

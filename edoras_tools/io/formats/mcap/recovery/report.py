@@ -105,9 +105,7 @@ def summaries(file: FileBytes) -> list[FoundSummary]:
 
 def _summary(file: FileBytes, place: int, footer: Footer) -> FoundSummary | None:
     ends = [at + _DATA_END_BYTES for at in file.find(_DATA_END, max(0, place - _FAR), place)]
-    for start in (footer.summary_start, *reversed(ends)):
-        if start > place:
-            continue
+    for start in (start for start in (footer.summary_start, *reversed(ends)) if start <= place):
         data = file.read(start, place + _FOOTER_BYTES - _CRC_BYTES)
         if footer.summary_crc and crc32(data) != footer.summary_crc:
             continue
