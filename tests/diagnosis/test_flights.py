@@ -142,6 +142,7 @@ FLIGHTS = {
     "peers_flood_each_other": (4141, {"limit": 4062, "overflow": 75, "unknown": 4}),
     "peer_port_alone": (59, {"limit": 43, "sbn_peer_restart": 16}),
     "killed_under_lists_sent_once": (382, {"down": 275, "unsubscribed": 83, "disabled": 24}),
+    "crashed_twice": (105, {"stopped": 105}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {

@@ -572,6 +572,8 @@ class Stops:
         since_ns = item.start_ns + WAITS_NS
         if item.end_ns is None and not (came_ns > item.ended_ns).any():
             since_ns = max(since_ns, int(came_ns.max(initial=0)))  # it still ran until then
+        elif item.end_ns is not None and 0 < item.end_ns - item.asked_ns <= SECOND:  # an event has its end
+            since_ns = max(since_ns, int(came_ns[came_ns < item.asked_ns].max(initial=0)))
         until_ns = int(came_ns[came_ns > since_ns].min(initial=NEVER))
         left_ns = READY_NS + 1 if item.end_ns is None else self._case.end_ns - item.end_ns
         if until_ns == NEVER and not 0 <= left_ns <= READY_NS:
