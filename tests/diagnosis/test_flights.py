@@ -142,6 +142,10 @@ FLIGHTS = {
     "peers_flood_each_other": (4141, {"limit": 4062, "overflow": 75, "unknown": 4}),
     "peer_port_alone": (59, {"limit": 43, "sbn_peer_restart": 16}),
     "killed_under_lists_sent_once": (382, {"down": 275, "unsubscribed": 83, "disabled": 24}),
+    "second_subscriber_is_slow": (114, {"limit": 114}),
+    "second_subscriber_over_its_limit": (116, {"limit": 116}),
+    "another_limit_for_each": (13, {"limit": 13}),
+    "hangs_on_a_losing_network": (71, {"network": 12, "limit": 27, "after": 32}),
     "crashed_twice": (105, {"stopped": 105}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
@@ -387,6 +391,23 @@ def test_a_cfs_that_stood_still_just_after_the_capture_began_did_so(tmp_path):
     assert [item.rule for item in found.verdicts if item.rule in {"cfs_stalled", "old_values"}] == [
         "cfs_stalled"
     ]
+
+
+@pytest.mark.parametrize(
+    ("name", "own", "application"),
+    [("second_subscriber_is_slow", 94, 0), ("second_subscriber_over_its_limit", 105, 11)],
+)
+def test_what_a_second_subscriber_loses_is_lost_at_its_pipe(name, own, application):
+    found = examined(name)
+    lost = {row.hop: row.all_lost for row in found.balance if row.msg_id == 0x1827 and row.all_lost}
+    assert lost == {"LOGGER_PIPE": own, **({"software bus": application} if application else {})}
+    assert "see whether the application that reads this pipe runs" in first_screen(found)
+
+
+def test_a_limit_that_would_lose_far_more_than_is_counted_blames_nobody():
+    rows = {row.msg_id: row for row in examined("another_limit_for_each").balance if row.shared or row.among}
+    assert {msg_id for _, msg_id, _ in rows[None].among} == {0x1827, 0x1828}
+    assert [rows[msg_id].all_lost for msg_id in (0x1827, 0x1828)] == [0, 0]
 
 
 def test_a_pause_of_its_reader_shows_no_limit():

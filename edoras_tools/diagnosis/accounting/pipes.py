@@ -157,7 +157,8 @@ class Pipes:
         kinds += [kind for kind in COUNTERS if kind not in kinds]
         low_ns, high_ns = self._times(fate)
         which = np.searchsorted([item.first for item in stream.spans], np.arange(len(stream)), "right") - 1
-        counts, is_named = [self._counts[instance] for instance in group], has_events or self._bursts(fate)
+        counts = [self._counts[instance] for instance in group]
+        is_named = has_events or self._bursts(fate, group)
         for place, mask in enumerate(_standing(fate)):
             if place == _BLIND and not has_events:
                 continue
@@ -174,13 +175,12 @@ class Pipes:
                 self.claims.append(Claim(len(self.whose), *span, len(own), tuple(kinds), group, rank, stream))
                 self.whose.append(_Own(fate, int(which[own[0]]), own, place))
 
-    def _bursts(self, fate: Fate) -> bool:
+    def _bursts(self, fate: Fate, group: Sequence[int]) -> bool:
         """Return whether more messages of a stream may reach its pipe in one round than the pipe holds."""
-        times, profile = fate.stream.time_ns, self._case.profile
-        period = (
-            profile.ci_wake_ns if fate.stream.link.only_to_cfs else profile.sbn_wake_ns * profile.sbn_polls
-        )
-        return more_at_once(times, period, profile.app_msg_limit)
+        profile, polls = self._case.profile, not fate.stream.link.only_to_cfs
+        period = profile.sbn_wake_ns * profile.sbn_polls if polls else profile.ci_wake_ns
+        times, limit = fate.stream.time_ns, profile.app_msg_limit
+        return any(_fills(self._case, fate, at, times, period, limit) for at in group)
 
     def _times(self, fate: Fate) -> tuple[Integers, Integers]:
         """Return the earliest and latest time at which each message can be counted: i64 (rows,), ns.
@@ -273,6 +273,27 @@ class Pipes:
         about = self._case.events_about(instance, stream.msg_id, kind)
         # Telemetry Output may subscribe to a command too: its pipe loses other copies than the application's.
         return next((own for own in about if not (stream.is_command and own[0].at_output)), (None, None))
+
+
+def _fills(case: Case, fate: Fate, instance: int, times: Integers, round_ns: int, limit: int) -> bool:
+    """Return whether more of a stream came in a round than its pipe holds, and no counter refutes that limit.
+
+    It is refuted if it would lose far more than all that was counted.
+    """
+    track, profile = case.tracks[instance], case.profile
+    if not more_at_once(times, round_ns, limit):
+        return False
+    link, receiver = fate.stream.link, fate.stream.receiver
+    came_ns = case.rows.time_ns[(case.rows.link == link) & (case.rows.destination == receiver)]
+    times = times[fate.open & (times > track.times[0]) & (times < track.times[-1])]
+    grown = sum(track.growth(name) for name in COUNTERS.values())
+    backlog = more_at_once(came_ns, profile.ci_wake_ns, profile.ci_datagrams_per_wake)  # not at the pipe yet
+    return backlog or _over(times, round_ns, limit) <= 2 * grown
+
+
+def _over(times: Integers, round_ns: int, limit: int) -> int:
+    """Return how many messages are more than may wait in each round."""
+    return int(np.maximum(np.unique(times // round_ns, return_counts=True)[1] - limit, 0).sum())
 
 
 def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Integers, *, full: bool) -> bool:
@@ -385,8 +406,15 @@ class _Candidate(msgspec.Struct, frozen=True):
         first = bisect_left(self.spans, start_ns - self.counted_ns, key=lambda item: item.end_ns)
         return range(first, bisect_right(self.spans, end_ns + LEAD_NS, key=lambda item: item.start_ns))
 
-    def most(self, spans: range) -> int:
-        """Return the most messages of some spans that can be lost: those beyond the limit in each round."""
+    def named(self, start_ns: int, end_ns: int) -> int:
+        """Return how many of the losses counted between two times events name."""
+        return self.events.within(start_ns - LEAD_NS, end_ns) if self.events else 0
+
+    def most(self, spans: range, *times: int) -> int:
+        """Return the most messages of some spans that can be lost: those beyond the limit in each round.
+
+        If events name more of them between two times, the pipe was read more slowly.
+        """
         if not self.spans:
             return int(np.iinfo(np.int32).max)
         own = self.spans[spans.start : spans.stop]
@@ -394,9 +422,9 @@ class _Candidate(msgspec.Struct, frozen=True):
         if self.queue is None or self.sent_ns is None:
             return count
         sent = self.sent_ns[own[0].first : own[-1].last + 1]
-        _, in_round = np.unique((sent - sent[0]) // self.queue.round_ns, return_counts=True)
-        over = int(np.maximum(in_round - self.queue.limit(self.msg_id), 0).sum())
-        return min(count, int(_LATE * over) + self.queue.limit(self.msg_id))
+        over = _over(sent - sent[0], self.queue.round_ns, self.queue.limit(self.msg_id))
+        most = min(count, int(_LATE * over) + self.queue.limit(self.msg_id))
+        return count if self.named(*times) > most else most
 
     def beyond(self, sent_ns: Integers, start_ns: int, end_ns: int) -> int:
         """Return how many messages sent between two times the pipe has no room for; may be negative."""
@@ -443,6 +471,8 @@ class Leftover:
         self._older_ns = {item.endpoint: item.older_until_ns for item in case.ingests}
         self.uncaptured = Counter[int]()
         self._places: dict[tuple[object, ...], Loss] = {}
+        self._beside: frozenset[ReportedLoss] = frozenset()
+        self._beside = frozenset(item for item in case.reported_losses if self._at_another(item))
 
     def share(self, shared: Sequence[Shared]) -> None:
         """Explain counts that are left: by traffic that events name, else by traffic too fast for its pipe.
@@ -489,6 +519,18 @@ class Leftover:
             if item.at_pipe and not (self._seen_behind(item) or self._fed(item)):
                 yield item, report, item.at_pipe
 
+    def _at_another(self, item: ReportedLoss) -> bool:
+        """Return whether a pipe is that of another subscriber: what it lost came out all the same."""
+        fate = self._fed(item) if item.at_pipe and not (item.at_output or item.at_peer) else None
+        ingests = self._case.ingests_at(fate.stream.receiver) if fate is not None and fate.seen else ()
+        if fate is None or not ingests or any(own.older_until_ns or own.not_captured for own in ingests):
+            return False
+        report = self._case.reported_losses[item]
+        start_ns, end_ns = report.first_ns - WAITS_NS, report.last_ns + WAITS_NS
+        own = (claim for claim in self._pipes.claims if claim.flow == fate.stream)
+        lacking = sum(claim.number for claim in own if claim.low_ns < end_ns and claim.high_ns > start_ns)
+        return 2 * lacking < report.count
+
     def take_reported(self) -> None:
         """Assign one count to every loss event, and make losses of those whose traffic is not captured."""
         for item, report, kind in self._absent():
@@ -498,6 +540,7 @@ class Leftover:
                     self._make_loss(
                         self._from_events(item, report), range(0), (item.instance, kind), number, times
                     )
+
         # At the pipe of an application whose output is captured, they are among the messages that lack there.
         for item, report in self._case.reported_losses.items():
             fate, at_pipe = self._fed(item), item.at_pipe
@@ -546,7 +589,7 @@ class Leftover:
             for each, fate, _ in self._unseen(at, "limit"):
                 for place, span in enumerate(each.spans):
                     times = span.start_ns - LEAD_NS, span.end_ns + each.counted_ns
-                    most = min(each.most(range(place, place + 1)), int(fate.open[span.rows].sum()))
+                    most = min(each.most(range(place, place + 1), *times), int(fate.open[span.rows].sum()))
                     if most and np.ptp(np.searchsorted(ends_ns, (times[0] - DRAINS_NS, times[1]))):
                         out.append(Rival(each.stream, at, "limit", *times, most))
         return [*out, *self._behind_full()]
@@ -652,13 +695,12 @@ class Leftover:
         for (_, active_), seconds in groups.items():
             number, times = int(rest[seconds].sum()), counts.span(seconds)
             rivals = [candidates[index] for index, _ in active_]
-            most = sum(item.most(spans) for item, (_, spans) in zip(rivals, active_, strict=True))
+            most = sum(item.most(spans, *times) for item, (_, spans) in zip(rivals, active_, strict=True))
             share = min(number, most)
             if len(rivals) == 1:
                 if number > most:  # others lost some, too: nothing shows which are its own but events
-                    events, fate = rivals[0].events, self._fates.get(rivals[0].stream)
-                    share = min(share, events.within(times[0] - LEAD_NS, times[1]) if events else 0)
-                    if fate is not None:
+                    share = rivals[0].named(*times)
+                    if (fate := self._fates.get(rivals[0].stream)) is not None:
                         fate.ends["shared"] += most - share
                 if share:
                     self._make_loss(rivals[0], active_[0][1], (instance, kind), share, times)
@@ -741,6 +783,8 @@ class Leftover:
 
     def _fed(self, reported: ReportedLoss) -> Fate | None:
         """Return the fate of the captured traffic that a reported loss is of; None if there is none."""
+        if reported in self._beside:
+            return None
         link = carrying("flight" if reported.sender.startswith("SBN") else "ground", to_cfs=True)
         alike = (fate for fate in self._fates.values() if fate.stream.link is link)
         own = (fate for fate in alike if fate.stream.msg_id == reported.msg_id)
@@ -752,14 +796,12 @@ class Leftover:
         leaving = [stream for stream in case.streams if stream.link.only_from_cfs]
         followed = {hop.into: hop for hop in map(case.upstream, leaving) if hop}
         msg_ids = {stream.msg_id for stream in leaving}
-        for stream in case.streams:
-            if stream.is_housekeeping and not stream.link.only_to_cfs:
-                continue
+        for stream in (item for item in case.streams if item.link.only_to_cfs or not item.is_housekeeping):
             fate, times = self._fates.get(stream), self._came_ns(stream)
-            if stream.link.only_to_cfs and not (fate and fate.seen):
-                if more_at_once(times, application.round_ns, application.usual_limit):
+            if fate is not None and stream.link.only_to_cfs and not fate.seen:
+                if _fills(case, fate, instance, times, application.round_ns, application.usual_limit):
                     yield self._candidate(stream, APP)
-                elif fate is not None and fate.stops:  # its pipe fills while nobody reads it
+                elif fate.stops:  # its pipe fills while nobody reads it
                     stops = [(item.start_ns, item.ended_ns) for item in fate.stops]
                     yield _only(self._candidate(stream, APP), times, overlapping(times, times, stops))
             elif stream.link.peers and stream.msg_id in msg_ids and case.goes_to(stream, instance):

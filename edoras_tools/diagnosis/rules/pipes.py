@@ -65,7 +65,8 @@ def _by_another(case: Case, loss: Loss, least: str) -> Verdict:
 def _over_app_limit(case: Case, loss: Loss) -> Verdict:
     period_ns = queues.application_pipe(case.profile, over_network=loss.over_network).round_ns
     least = "at least " if loss.instance not in case.tracks else ""
-    if loss.sender and not loss.sender.startswith((*command_ingest.NAMES, "SBN")):
+    beside = loss.stream is None and any(item.msg_id == loss.msg_id for item in case.streams)
+    if loss.sender and (beside or not loss.sender.startswith((*command_ingest.NAMES, "SBN"))):
         return _by_another(case, loss, least)
     why = "; ".join(filter(None, (capacity(case, loss), crowding_of(case, loss))))
     reason, rate = f"{least}{lost_at(case, loss, 'commands')}: {why}", ""
