@@ -112,17 +112,15 @@ class Arrivals(NamedTuple):
         step_ns = np.median(np.diff(self.time_ns)) if len(self.time_ns) > 1 else 0
         return self.most(SECOND - step_ns / 2)
 
-    def lost(self, way: tuple[queues.Queue, ...], msg_id: int, phases: int = _PHASES) -> list[int]:
+    def lost(self, way: Sequence[queues.Queue], msg_id: int, phases: int = _PHASES) -> list[int]:
         """Return how many messages of a MsgId a chain of queues loses, at each of several phases."""
         return [own for own, _ in self.lost_of(way, msg_id, phases)]
 
-    def lost_of(
-        self, way: tuple[queues.Queue, ...], msg_id: int, phases: int = _PHASES
-    ) -> list[tuple[int, int]]:
+    def lost_of(self, way: Sequence[queues.Queue], msg_id: int, phases: int) -> list[tuple[int, int]]:
         """Return the losses of a MsgId and of all others in a chain of queues, at each of several phases."""
         return [self._lost(way, msg_id, at * way[-1].round_ns // phases) for at in range(phases)]
 
-    def _lost(self, way: tuple[queues.Queue, ...], msg_id: int, phase_ns: int) -> tuple[int, int]:
+    def _lost(self, way: Sequence[queues.Queue], msg_id: int, phase_ns: int) -> tuple[int, int]:
         inside = self
         for queue in way:
             kinds = np.zeros_like(inside.msg_id) if queue.is_socket else inside.msg_id
@@ -249,8 +247,9 @@ def capacity(case: Case, loss: Loss) -> str:
     elif hz := _lossless_hz(case, loss):
         return f"{hz:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)"
     else:
-        queue, keeps = _pipe_of(case, loss), f"it keeps {{}} of one MsgId, and {who} hands over a burst"
-        limit, names = queue.usual_limit, (f"{who.lower()}_wake_ns", "app_msg_limit")
+        queue, source = case.application_pipe(loss)
+        keeps, origin = f"it keeps {{}} of one MsgId, and {who} hands over a burst", f" ({source})"
+        limit, names = queue.usual_limit, ()
     rate = f" every {queue.round_ns / MILLISECOND:.0f} ms: {queue.rate_hz(limit):.0f} a second get through"
     text = keeps.format(limit) + rate if limit else "TO keeps none of this MsgId"
     return text + (origin or f" ({case.origin(*names)})")
@@ -261,14 +260,9 @@ def _at_output(loss: Loss) -> bool:
     return loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
 
 
-def _pipe_of(case: Case, loss: Loss) -> queues.Queue:
-    """Return the model of the application's pipe that a loss was at, or in front of."""
-    return queues.application_pipe(case.profile, over_network=loss.over_network)
-
-
 def _lossless_hz(case: Case, loss: Loss) -> float:
     """Return the highest rate at which the stream of a loss at an application lost nothing; 0 if unknown."""
-    pipe = _pipe_of(case, loss)
+    pipe, _ = case.application_pipe(loss)
     return case.lossless_hz(loss.stream, pipe.rate_hz(pipe.usual_limit)) if loss.stream else 0.0
 
 
@@ -294,9 +288,9 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     if not output:
         return Advice(why, slower, slow)
     need = min(_MOST, max(own.most(queue.round_ns * _LATE) + 1, limit + 1 if fits else 2 * limit))
-    higher = arrivals.lost_of((queue.with_limit(msg_id, need),), msg_id)
+    higher = arrivals.lost_of((queue.with_limit(msg_id, need),), msg_id, _PHASES)
     rest, others = max(own for own, _ in higher), sum(other for _, other in higher)
-    if rest or others > sum(other for _, other in arrivals.lost_of((now,), msg_id)):
+    if rest or others > sum(other for _, other in arrivals.lost_of((now,), msg_id, _PHASES)):
         return Advice(why, slower, slow)
     remedy = f"{slower}, or {_raised(case, msg_id, need)}"
     return Advice(why, remedy, None if slow is None else max(rest, slow))
@@ -395,7 +389,8 @@ def _raised(case: Case, msg_id: int, limit: int) -> str:
 
 def _at_application(case: Case, loss: Loss) -> Advice:
     """Return the remedy where an application's pipe takes too few of a command, or CI's socket is full."""
-    over_network, pipe, socket = loss.over_network, _pipe_of(case, loss), queues.ci_socket(case.profile)
+    over_network, socket = loss.over_network, queues.ci_socket(case.profile)
+    pipe, _ = case.application_pipe(loss)
     limit, clean, why = pipe.usual_limit, pipe.rate_hz(pipe.usual_limit), capacity(case, loss)
     stream = loss.stream
     if stream is None:
@@ -409,7 +404,8 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     at_limit, in_socket = (_meanwhile(case, loss, kind) for kind in ("limit", "socket"))
     waiting = sum(item.waiting for item in case.ingests_at(stream.receiver))
     number = at_limit + in_socket or loss.lost
-    fits = _explains(arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id), number, waiting)
+    model = arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id)
+    fits, slow = _explains(model, number, waiting), number > _FITS[1] * max(model) + _FEW
     why = f"{why[:-1]}, and fits what was lost)" if fits else why
     senders = len(senders_at_once(case.rows, _rows_of(loss)))
     slower = f"send at most {_safe(clean):g} Hz"
@@ -424,10 +420,11 @@ def _at_application(case: Case, loss: Loss) -> Advice:
         by = f", most of it by {case.endpoints[most]}" if most != stream.sender else ""
         slower = f"spread all that is sent to CI{by}: {reads}"
     else:
-        slower = _spread(case, own, pipe, limit, slower, ("sent", "the application's task"))
+        at = limit if not slow else len(rows)  # read later than the model does: no rate helps alone
+        slower = _spread(case, own, pipe, at, slower, ("sent", "the application's task"))
     need = min(own.most(pipe.round_ns * _LATE) + 1, pipe.depth if over_network else socket.reads)
     higher = (*way[:-1], pipe.with_limit(stream.msg_id, need))
-    if need > limit and not (in_socket or max(arrivals.lost(higher, stream.msg_id))):
+    if need > limit and not (slow or in_socket or max(arrivals.lost(higher, stream.msg_id))):
         slower += f", or {_subscribed(f'a limit of {need:,}')}"
     paced = arrivals.spaced(SECOND / _safe(clean), stream.msg_id)
     if loss.kind == "socket" and not crowds and len(own.time_ns) < _MOSTLY * len(arrivals.time_ns):

@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.cfs import command_ingest, sbn, telemetry_output
+from edoras_tools.cfs import command_ingest, queues, sbn, telemetry_output
 from edoras_tools.cfs.commands import inject_line
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.conversations import ConversationKind, Flow, Unnamed, unnamed
@@ -46,7 +46,7 @@ from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_unrea
 from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.stalls import stalls
-from edoras_tools.diagnosis.matching.streams import comb, find_resets, find_robots, find_streams
+from edoras_tools.diagnosis.matching.streams import bursts, comb, find_resets, find_robots, find_streams
 from edoras_tools.diagnosis.quality import (
     CONFIDENCE,
     HostDrops,
@@ -81,6 +81,8 @@ _FRAGMENT_BYTES: Final = 1480
 """IP payload bytes of one fragment on Ethernet."""
 _CLEAN_NS: Final = 10 * SECOND
 _HIGHER: Final = 1.1
+_FULL: Final = 6
+"""So many rounds that lost commands show a limit."""
 _TIME: Final = attrgetter("time_ns")
 OfLink = TypeVar("OfLink")
 
@@ -631,6 +633,27 @@ class Case:
         """Return the losses of a stream."""
         return self._losses_of.get(stream, [])
 
+    def application_pipe(self, loss: Loss) -> tuple[queues.Queue, str]:
+        """Return the pipe of an application, and whether its limit was measured, told or assumed.
+
+        The rounds at the robot behind which commands are missing show another limit than the assumed one, if
+        none comes late. While Command Ingest hands over, the application may read one.
+        """
+        pipe = queues.application_pipe(self.profile, over_network=loss.over_network)
+        near_ns, cut = pipe.round_ns // 5, loss.span.rows if loss.span else slice(0, 0)
+        for hop in (hop for hop in self.hops if hop.into is loss.stream and hop.out.link.last_hop):
+            own = (hop.in_rows >= cut.start) & (hop.in_rows < cut.stop)
+            times, missing = hop.out.time_ns[hop.out_rows[own]], np.append(np.diff(hop.in_rows[own]) - 1, 0)
+            begins, sizes = bursts(times, near_ns)
+            full = sizes[np.add.reduceat(missing, begins) > 0] if len(begins) else sizes
+            late = np.sum(hop.delays_ns > pipe.round_ns + near_ns) > len(times) / 4
+            if late or len(full) < _FULL or abs(np.median(np.diff(times[begins])) - pipe.round_ns) > near_ns:
+                continue
+            least, usual = np.quantile(full, (0.1, 0.5)).astype(int).tolist()
+            if least > pipe.usual_limit + 1 or least == usual < pipe.usual_limit:
+                return replace(pipe, usual_limit=least), "measured"
+        return pipe, self.origin("sbn_wake_ns" if loss.over_network else "ci_wake_ns", "app_msg_limit")
+
     def lossless_hz(self, stream: Stream, assumed_hz: float) -> float:
         """Return the highest rate, Hz, at which a stream lost nothing for 10 s; 0 if none counts.
 
@@ -661,9 +684,9 @@ class Case:
         rows = self.prepared.doubled
         return Counter(zip(rows.link.tolist(), rows.destination.tolist(), rows.msg_id.tolist(), strict=True))
 
-    def route(self, msg_id: int, link: Link | None = None) -> Route | None:
-        """Return the configured route of a MsgId, on a link or on any; None without one."""
-        table = self.context.any_route_of if link is None else self.context.routes_on(link)
+    def route(self, msg_id: int) -> Route | None:
+        """Return the configured route of a MsgId on any link; None without one."""
+        table = self.context.any_route_of
         index = int(table[msg_id]) if 0 <= msg_id < len(table) else NO_ROUTE
         return self.mission.routes[index] if index != NO_ROUTE else None
 

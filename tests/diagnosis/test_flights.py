@@ -147,6 +147,8 @@ FLIGHTS = {
     "another_limit_for_each": (13, {"limit": 13}),
     "hangs_on_a_losing_network": (71, {"network": 12, "limit": 27, "after": 32}),
     "crashed_twice": (105, {"stopped": 105}),
+    "limit_of_two": (19, {"limit": 19}),
+    "takes_180_ms_for_each": (28, {"limit": 28}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -408,6 +410,21 @@ def test_a_limit_that_would_lose_far_more_than_is_counted_blames_nobody():
     rows = {row.msg_id: row for row in examined("another_limit_for_each").balance if row.shared or row.among}
     assert {msg_id for _, msg_id, _ in rows[None].among} == {0x1827, 0x1828}
     assert [rows[msg_id].all_lost for msg_id in (0x1827, 0x1828)] == [0, 0]
+
+
+def test_the_limit_of_an_application_is_measured_where_its_rounds_show_it():
+    text = first_screen(examined("limit_of_two"))
+    assert "it keeps 2 of one MsgId" in text
+    assert "(measured, and fits what was lost)" in text
+    assert "send at most 3.9 Hz" in text
+
+
+@pytest.mark.parametrize("name", ["takes_180_ms_for_each", "hangs_on_a_losing_network"])
+def test_an_application_that_reads_late_is_helped_by_no_rate_and_no_limit(name):
+    text = first_screen(examined(name))
+    assert "see what keeps the application's task from its pipe" in text
+    assert "send at most" not in text
+    assert "CFE_SB_SubscribeEx" not in text
 
 
 def test_a_pause_of_its_reader_shows_no_limit():

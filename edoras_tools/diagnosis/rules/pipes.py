@@ -63,7 +63,7 @@ def _by_another(case: Case, loss: Loss, least: str) -> Verdict:
 
 
 def _over_app_limit(case: Case, loss: Loss) -> Verdict:
-    period_ns = queues.application_pipe(case.profile, over_network=loss.over_network).round_ns
+    period_ns = case.application_pipe(loss)[0].round_ns
     least = "at least " if loss.instance not in case.tracks else ""
     beside = loss.stream is None and any(item.msg_id == loss.msg_id for item in case.streams)
     if loss.sender and (beside or not loss.sender.startswith((*command_ingest.NAMES, "SBN"))):
@@ -155,10 +155,9 @@ def _with_them(case: Case, others: Sequence[Loss]) -> Verdict:
 
 
 def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
-    pipe, text, events = queues.telemetry_pipe(case.profile), "", ""
+    pipe = queues.telemetry_pipe(case.profile)
     depth = depth_at(case, loss, pipe)
-    if depth < pipe.depth:
-        text = f"rounds of {depth} came often, and none was larger (is fs.mqueue.msg_max {depth}?)"
+    text = f"rounds of {depth} came often, and none was larger (is fs.mqueue.msg_max {depth}?)"
     room = pipe.rate_hz(depth)
     reason = (
         f"{lost_at(case, loss)}: TO's pipe of {depth} is emptied every "
@@ -170,9 +169,9 @@ def _output_overflow(case: Case, loss: Loss, beside: Sequence[Loss]) -> Verdict:
     )
     names, event_id = _by_name(case, beside), case.of_known(cfe.EVENT_MSG_ID)
     with_it = f"lost with it: {', '.join(names)}" if names else ""
-    if any(item.msg_id == event_id for item in beside):
-        events = "events are among the lost: that none names the pipe proves nothing"
-    return loss_verdict(case, loss, reason, remedy, text, with_it, events, link="to")
+    is_one = any(item.msg_id == event_id for item in beside)
+    events = "events are among the lost: that none names the pipe proves nothing" * is_one
+    return loss_verdict(case, loss, reason, remedy, text * (depth < pipe.depth), with_it, events, link="to")
 
 
 def sbn_peer_pipe(case: Case) -> Iterator[Verdict]:
