@@ -40,8 +40,8 @@ class Limit(NamedTuple):
 
 LIMITS = {
     "lines with code, core": Limit(56_286, 150, 58_000),
-    "lines with code, all": Limit(89_612, 150, 84_000),  # with what is still to come
-    "files": Limit(411, 10, 450),
+    "lines with code, all": Limit(89_607, 150, 84_000),  # with what is still to come
+    "files": Limit(410, 10, 450),
     "files below 170 lines, of 1,000": Limit(256, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
     "files that record runs through": Limit(82, 2, 80),

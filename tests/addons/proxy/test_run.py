@@ -18,7 +18,7 @@ from edoras_tools.addons.proxy.run import Proxy
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.errors import CaptureError, ConfigError
-from edoras_tools.io.net.buffer import SendResult
+from edoras_tools.io.net.sockets import SendResult
 from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Mission, Route
