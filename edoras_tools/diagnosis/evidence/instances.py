@@ -209,8 +209,7 @@ class Instances:
             apart = np.concatenate(([True], np.diff(windows) > 1, [True]))
             before = np.where(apart[:-1], least[1:-1], least[:-2])
             after = np.where(apart[1:], least[1:-1], least[2:])
-            quickest = np.minimum(np.minimum(before, after), least[1:-1])
-            made_ns[own] -= delay - quickest[window]
+            made_ns[own] -= delay - np.min((before, after, least[1:-1]), axis=0)[window]
         return made_ns
 
     def _find_owners(self, rows: Rows) -> dict[int, list[tuple[int, int]]]:
@@ -342,20 +341,24 @@ def _in_turn(whose: Sequence[Hashable], spans: Sequence[tuple[int, int]]) -> lis
 def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArray[np.int32]) -> list[Places]:
     """Return the rows of each instance that has this boot time; mostly it is one with all rows."""
     output = members[rows.on(lambda link: link.only_from_cfs, members)]
-    places = distinct(hosts[rows.source[output]])
     network = members[rows.on(lambda link: link.peers, members)]
     sender = rows.sbn_sender(network)
-    if max(len(places), len(distinct(sender))) < 2 and not _conflict(rows, members):
+    events = output[rows.known_id[output] == cfe.EVENT_MSG_ID]
+    owner = {int(rows.source[row]): says[row] for row in events.tolist() if row in says}
+    every = {*owner.values(), *(str(peer_of(item)) for item in distinct(sender).tolist())}
+    if max(len(distinct(hosts[rows.source[output]])), len(every)) < 2 and not _conflict(rows, members):
         return [members]
     first, who = numbered(hosts[rows.source[network]], sender)
     places = hosts[rows.source[network[first]]]
     names = list(zip(places.tolist(), [str(peer_of(item)) for item in sender[first].tolist()], strict=True))
     # Telemetry Output sends packets of its own cFS, or forwards packets that crossed SBN before.
-    from_ = handed_on(rows, network, output)
-    events = output[rows.known_id[output] == cfe.EVENT_MSG_ID]
-    owner = {int(rows.source[row]): says[row] for row in events.tolist() if row in says}
+    from_, ahead = handed_on(rows, network, output), handed_on(rows, output, network)
+    crossed = np.flatnonzero(ahead >= 0)
     first, port = numbered(rows.source[output])
     peers = tuple(names)
+    for source, own in by_value(rows.source[output[ahead[crossed]]]):
+        # What it sent before that crossed SBN is of its own cFS.
+        owner.setdefault(source, peers[np.bincount(who[crossed[own]]).argmax()][1])
     quickest = np.array([rows.delay_ns(network[who == at]).min() for at in range(len(peers))])
     senders = []
     for source in rows.source[output[first]].tolist():
@@ -378,9 +381,9 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     label = np.concatenate((who, len(peers) + port))
     label[len(who) :][from_ >= 0] = who[from_[from_ >= 0]]
     _hand_on_unseen(rows, output, label[len(who) :], from_ >= 0)
-    rows_of = np.concatenate((network, output))
     order = {name: at for at, name in enumerate(sorted(set(names)))}
     of_name = np.array([order[name] for name in names])[label]
+    rows_of = np.concatenate((network, output))
     return [np.sort(rows_of[of_name == index]) for index in distinct(of_name).tolist()]
 
 

@@ -29,7 +29,7 @@ from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, fol
 from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays import Integers, Mask, Places, distinct, groups, numbered, perhaps_in
+from edoras_tools.wire.arrays import MIX, Integers, Mask, Places, distinct, groups, numbered, perhaps_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -350,7 +350,7 @@ HANDED_ON_NS: Final = 2 * SECOND
 def handed_on(rows: Rows, network: Places, output: Places) -> Places:
     """Return which packet on SBN each packet of Telemetry Output is, as an index in ``network``; -1 for none.
 
-    Equal packets have equal bytes. If frames are cut, MsgId and sequence count are compared instead.
+    Equal packets have equal bytes. If frames are cut, MsgId, sequence count and time are compared instead.
 
     Args:
         rows: table of datagrams.
@@ -360,7 +360,7 @@ def handed_on(rows: Rows, network: Places, output: Places) -> Places:
     prints = rows.packet_print
     if rows.has(Finding.CAPTURE_CUT)[np.concatenate((network, output))].any():
         count = (rows.msg_id.astype(np.uint64) << np.uint64(14)) + rows.sequence_count + np.uint64(1)
-        prints = np.where(rows.counted, count, 0)
+        prints = np.where(rows.counted, count ^ rows.mission_time_ns.astype(np.uint64) * MIX, 0)
     from_ = latest_equal(prints[network], rows.time_ns[network], prints[output], rows.time_ns[output])
     late = from_ >= 0
     late[late] = rows.time_ns[output[late]] - rows.time_ns[network[from_[late]]] >= HANDED_ON_NS
