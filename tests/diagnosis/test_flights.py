@@ -658,6 +658,47 @@ def test_a_sender_that_changes_its_rate_shows_how_much_the_capture_missed():
     assert by_cause(examined("copies_both_ways"))["after"] == 22
 
 
+@pytest.mark.parametrize(("name", "lost"), [("peer_wants_nothing", 0), ("bridge_of_another_id", 146)])
+def test_what_cut_frames_do_not_show_to_come_out_is_not_told_to_be_refused(tmp_path, name, lost):
+    """All come out; what an application sends on may be what has no subscriber."""
+    items = [item._replace(data=item.data[:96]) for item in mutations.frames(FOLDER / f"{name}.pcap.zst")]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert found.lost + found.unaccounted == lost
+
+
+def test_two_cfs_of_one_host_that_cut_frames_do_not_name_count_each_loss_once(tmp_path):
+    """What Telemetry Output sends before it crosses SBN shows whose it is."""
+    items = mutations.frames(FOLDER / "peers_flood_each_other.pcap.zst")
+    items = [item._replace(data=item.data[:96]) for item in items]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    proven, (lost, _) = found.lost + found.unaccounted, FLIGHTS["peers_flood_each_other"]
+    assert proven <= lost <= proven + found.uncertain
+
+
+def test_two_cfs_of_which_sbn_alone_is_here_are_told_apart(tmp_path):
+    items = mutations.frames(FOLDER / "peers_flood_each_other.pcap.zst")
+    items = mutations.only_to(2234, 2235, 2236)(items, random.Random(1))
+    cut = [item._replace(data=item.data[:96]) for item in items]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", cut))
+    assert {item.name for item in found.case.instances.items} == {"66:1", "66:2"}
+
+
+def test_two_cfs_without_counts_that_differ_are_told_apart_by_their_names(tmp_path):
+    """One sends events, and the other one over SBN."""
+    items = mutations.frames(FOLDER / "two_cfs.pcap.zst")
+    items = mutations.without_telemetry(0x803)(items, random.Random(1))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert {item.name for item in found.case.instances.items} == {"66:1", "66:2"}
+    assert found.lost + found.unaccounted <= FLIGHTS["two_cfs"][0]
+
+
+def test_counters_under_a_msg_id_of_a_mission_overran_no_struct():
+    """0x082b has messages, and short packets of another sender with a counter where an envelope begins."""
+    files = [ROOT / f"samples/missions/two_arms_{side}.yaml" for side in ("ground", "flight")]
+    found = truth.examined(FOLDER / "peer_port_alone.pcap.zst", (), tuple(files))
+    assert by_cause(found) == FLIGHTS["peer_port_alone"][1]
+
+
 def test_a_stream_that_goes_on_from_another_port_of_its_peer_is_not_silent():
     found = examined("bridge_at_another_port")
     assert by_cause(found) == {"port_closed": 74, "sbn_peer_restart": 8}

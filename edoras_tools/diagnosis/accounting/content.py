@@ -195,9 +195,8 @@ def _old(case: Case, hops: Sequence[Hop], out: Places, sent_ns: Integers, last_n
     when = case.rows.time_ns[out]
     newest = np.maximum.accumulate(np.append(-1, sent_ns))[:-1]
     went_ns = np.sort(np.concatenate([hop.into.time_ns for hop in hops]))
-    due = np.searchsorted(went_ns, when - _rounds(case, hops[0]))
-    meanwhile = due - np.searchsorted(went_ns, last_ns, "right")
-    old = (newest > last_ns) | (meanwhile >= _LEAST)
+    due, last = np.searchsorted(went_ns, (when - _rounds(case, hops[0]), last_ns + 1))
+    old = (newest > last_ns) | (due - last >= _LEAST)
     body = case.rows.body_print[out]
     values, number = np.unique(body[old & (sent_ns < 0)], return_counts=True)
     return np.asarray(old | np.isin(body, values[number >= _LEAST]))
@@ -221,7 +220,7 @@ def _replaced(
     rows, rest, chance = case.rows, out[odd | old], 0.0
     pairs: dict[tuple[Stream, Stream], tuple[Places, Places]] = {}
     for hop in hops:
-        absent = np.flatnonzero((hop.known | (rows.claimed[hop.into.rows] > 0)) & ~hop.arrived)
+        absent = np.flatnonzero((hop.known | (rows.claimed[hop.into.rows] != 0)) & ~hop.arrived)
         own = np.intersect1d(rest, hop.out.rows[hop.origin < 0])
         into, came = np.sort(hop.in_rows), hop.out.rows[hop.out_rows]
         between = np.concatenate((np.searchsorted(into, absent), np.searchsorted(came, own)))

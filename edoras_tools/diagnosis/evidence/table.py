@@ -57,7 +57,8 @@ class Rows(msgspec.Struct, frozen=True):
         length: i32, bytes of the UDP payload.
         known_id: i32, MsgId in message version 1, in which cFS facts are written.
         space: i32, bytes of a packet behind its envelope, including padding; 0 without an envelope.
-        claimed: i32, bytes of CDR that an envelope claims, if its packet is too short for them; else 0.
+        claimed: i32, bytes of CDR that an envelope claims, if its packet is too short for them; else 0. It is
+            negative if nothing but a mission says that an envelope is there.
         identification: u16, identification of the IPv4 packet; 0 for IPv6.
         tap: u64, fingerprint of the frame in front of the IP header, plus the time to live: it differs
             between two places of capture.
@@ -378,15 +379,15 @@ class Recorder:
             capacity = envelope.layout.column("buffer_capacity", head).astype(np.uint64)
             start = head[:, envelope.size :]
             shaped = (start[:, 0] == 0) & (start[:, 1] <= 1) & (start[:, 2] == 0) & (start[:, 3] == 0)
-            shaped &= (claimed >= _ENCAPSULATION) & (claimed < 1 << 31)
-            # A configured route proves the envelope; elsewhere its contents have to be plausible.
+            shaped &= (claimed >= _ENCAPSULATION) & (claimed < 1 << 31) & (claimed <= capacity)
             routed = (columns.findings[rows] & np.uint32(Finding.ENVELOPE_OVERRUN)) != 0
             over = claimed > behind[rows].astype(np.uint64)
-            valid = (over & shaped & (claimed <= capacity)) | routed
+            valid = (over & shaped) | routed
             valid &= (columns.findings[rows] & np.uint32(Finding.CAPTURE_CUT)) == 0
             space[rows[valid]] = behind[rows[valid]]
-            vain[rows[valid]] = np.minimum(claimed[valid], (1 << 31) - 1).astype(np.int32)
-            fits = shaped & ~over & (claimed <= capacity) & (columns.route[rows] == NO_ROUTE)
+            sign = np.where(shaped[valid], 1, -1)
+            vain[rows[valid]] = sign * np.minimum(claimed[valid], (1 << 31) - 1).astype(np.int32)
+            fits = shaped & ~over & (columns.route[rows] == NO_ROUTE)
             offset[rows[fits]] = payload[rows[fits]] + envelope.size
             length[rows[fits]] = claimed[fits].astype(np.int32)
             space[rows[fits]] = behind[rows[fits]]

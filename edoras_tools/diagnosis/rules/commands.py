@@ -111,7 +111,7 @@ def bad_command(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     # A wrong CRC of a CFDP PDU has the same finding, and is not obeyed: ``file_checksum`` counts it.
-    wrong = rows.has(_ANY & ~Finding.CHECKSUM_BAD) | (rows.claimed > 0)
+    wrong = rows.has(_ANY & ~Finding.CHECKSUM_BAD) | (rows.claimed != 0)
     wrong |= rows.has(Finding.CHECKSUM_BAD) & ~np.isin(rows.msg_id, case.mission.pdu_msg_ids)
     # Over 768 bytes has a rule of its own, and what follows from the cut belongs to it.
     wrong &= (rows.link == CI) & ~rows.has(Finding.CAPTURE_CUT | Finding.OVER_CI_BUFFER)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, islice
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -26,7 +26,7 @@ from edoras_tools.wire.arrays import Integers, Places, by_value, groups
 from edoras_tools.words import either, listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import Track
@@ -40,20 +40,22 @@ def struct_overrun(case: Case) -> Iterator[Verdict]:
     Name telemetry whose envelope claims more than its packet holds.
     """
     rows = case.rows
-    bad = (rows.claimed > 0) & ~rows.has(Finding.CAPTURE_CUT)
+    bad = (rows.claimed != 0) & ~rows.has(Finding.CAPTURE_CUT)
     for link in (TO, SBN):
         for msg_id, wrong in groups(rows.msg_id, np.flatnonzero(bad & (rows.link == link))):
-            every = (rows.link == link) & (rows.msg_id == msg_id)
+            every = np.flatnonzero((rows.link == link) & (rows.msg_id == msg_id))
             sizes, counts = np.unique(rows.packet_length[every], return_counts=True)
             # Another size than the struct's: somebody else's packet under this MsgId.
-            members = wrong[rows.packet_length[wrong] == sizes[counts.argmax()]]
+            every, members = (at[rows.packet_length[at] == sizes[counts.argmax()]] for at in (every, wrong))
+            if 2 * (rows.cdr_length[every] > 0).sum() < len(every):
+                members = members[rows.claimed[members] > 0]  # the mission's type need not be theirs
             if len(members) and not case.mission.msg_ids.is_command(msg_id):
                 yield _overrun(case, members)
 
 
 def _overrun(case: Case, members: Places) -> Verdict:
     rows, first = case.rows, int(members[0])
-    space, claimed = int(rows.space[first]), int(rows.claimed[first])
+    space, claimed = int(rows.space[first]), abs(int(rows.claimed[first]))
     before = _malformed_before(case, int(rows.time_ns[first]))
     number = f"{claimed:,}" if claimed < 1 << 24 else "millions"
     size = f"{rows.packet_length[first]} bytes, room for {space} of CDR"
@@ -88,7 +90,7 @@ def _malformed_before(case: Case, time_ns: int) -> int | None:
     """Return the row of a malformed datagram into cFS that came just before a time, or None."""
     rows = case.rows
     wrong = rows.has(Finding.TRUNCATED | Finding.LENGTH_MISMATCH | Finding.SBN_SIZE_MISMATCH)
-    wrong |= rows.claimed > 0
+    wrong |= rows.claimed != 0
     near = (rows.time_ns <= time_ns) & (rows.time_ns > time_ns - 2 * SECOND)
     places = np.flatnonzero(wrong & near & (rows.link != TO) & (rows.function_code >= 0))
     return int(places[-1]) if len(places) else None
@@ -199,11 +201,11 @@ def _unwanted(case: Case, track: Track, arriving: Places) -> Iterator[tuple[int,
     lost = sum(item.lost for item in case.ingests)
     crowded = more_at_once(times[arriving], case.profile.ci_wake_ns, case.profile.ci_datagrams_per_wake)
     lag_ns = DRAINS_NS if crowded else _COUNTED_NS  # what waits in CI's socket is counted late
-    # All may be taken, and what is made of the newest of each in a round be for nobody.
-    rounds = (len(np.unique(times[at] // case.profile.ci_wake_ns)) for at in own.values())
-    of_rounds = abs(sum(rounds) - counts[-1]) <= 2 * len(own)
-    for size in (len(own),) if of_rounds else _UNKNOWN:
-        every = (np.sort(np.concatenate([own[at] for at in chosen])) for chosen in combinations(own, size))
+    if len(of_rounds := _of_rounds(own, times // case.profile.ci_wake_ns, int(counts[-1]))) > 1:
+        return
+    for size in (len(of_rounds[0]),) if of_rounds else _UNKNOWN:
+        sets = of_rounds or combinations(own, size)
+        every = (np.sort(np.concatenate([own[at] for at in item])) for item in sets)
         fits = [item for item in every if _may_be(times[item], seen_ns, counts, lag_ns, lost)]
         for sent in fits if len(fits) == 1 else ():
             # What the last sample does not have may be on its way, where CI lost nothing.
@@ -213,6 +215,23 @@ def _unwanted(case: Case, track: Track, arriving: Places) -> Iterator[tuple[int,
                 yield msg_id, members, round(part * len(members))
         if fits:
             return
+
+
+def _of_rounds(own: Mapping[int, Places], round_of: Integers, number: int) -> list[tuple[int, ...]]:
+    """Return the sets of MsgIds with messages in about so many rounds.
+
+    An application may take all of these, and what it makes of the newest of each round be for nobody.
+
+    Args:
+        own: MsgId to its rows.
+        round_of: i64, number of the round of each row.
+        number: number of rounds.
+    """
+    rounds = {item: len(np.unique(round_of[at])) for item, at in own.items()}
+    sizes = dict.fromkeys((len(rounds), *_UNKNOWN))
+    sets = islice((item for size in sizes for item in combinations(rounds, size)), 20_000)
+    apart = ((item, abs(sum(rounds[at] for at in item) - number)) for item in sets)
+    return [item for item, by in apart if by <= min(2 * len(item), number // 10)]
 
 
 def _each_time(seen_ns: Integers, counts: Integers) -> bool:

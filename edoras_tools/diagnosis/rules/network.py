@@ -521,9 +521,8 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             *craft, processor = map(int, match.groups())
             low, high = np.searchsorted(times, (record.time_ns - 2 * SECOND, record.time_ns), "right")
             near = network[low:high]
-            same = (rows.processor_id[near] == processor) & np.isin(
-                rows.spacecraft_id[near], craft or rows.spacecraft_id[near]
-            )
+            same = rows.processor_id[near] == processor
+            same &= np.isin(rows.spacecraft_id[near], craft or rows.spacecraft_id[near])
             # Who is named by his processor alone may be one that was named in full just before, or one that
             # is not here: it is none that this cFS sends messages to.
             peers = [end for end, name in names if name.endswith(f":{processor}") and party(end) in partners]
@@ -534,13 +533,15 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True
     came_out = np.concatenate([np.zeros(0, np.intp), *(hop.into.rows[hop.in_rows] for hop in case.hops)])
+    msg_ids = [hop.into.msg_id for hop in case.hops]
     for who, members in groups(rows.sbn_sender(), np.flatnonzero(foreign)):
         peer, start_ns = peer_of(who), case.span(members)[0]
         lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
         messages = members[rows.msg_id[members] != NO_MSG_ID]
-        most_came = 2 * np.isin(messages, came_out).sum() > len(messages)
+        # What is not followed may have come out.
+        came = np.isin(messages, came_out) | ~np.isin(rows.msg_id[messages], msg_ids)
         usual = case.network.identity_of.get(int(rows.source[members[0]]))
-        if not lines and (most_came or usual == str(peer)):
+        if not lines and (2 * came.sum() > len(messages) or usual == str(peer)):
             continue  # most there are its own: one that spoke before it is the other
         refused = _refused(
             case,
