@@ -453,13 +453,10 @@ def outages(case: Case) -> list[Outage]:
     for system, subject in timeline.subjects:
         if subject.kind != "app":
             continue
-        for state in ("stopped", "restarting"):
+        for restarted, state in ((False, "stopped"), (True, "restarting")):
             for span in timeline.spans(subject, state, system):
-                sure = span.change.sure or (span.end and span.end.sure)
-                if sure or _falls_silent(case, subject.name, span):
-                    end_ns = span.end_hi if span.end else None
-                    times = span.start_lo, end_ns, span.start_hi, span.end_lo
-                    restarted = state == "restarting"
+                if _is_sure(case, span):
+                    times = span.start_lo, span.end_hi if span.end else None, span.start_hi, span.end_lo
                     items.append(Outage(subject.name, *times, span.change.witness, system, restarted))
         first = timeline.of(subject, system)[0]
         if first.state == "running" and first.sure and len(first.rows) > 1:
@@ -467,6 +464,15 @@ def outages(case: Case) -> list[Outage]:
             times = case.start_ns - 1, first.not_after_ns, case.start_ns - 1, first.not_before_ns
             items.append(Outage(subject.name, *times, first.witness, system))
     return sorted(items, key=lambda item: item.start_ns)
+
+
+def _is_sure(case: Case, span: StateSpan) -> bool:
+    """Return whether a stop of an application is more than a command, which may be lost."""
+    app, sure = span.change.subject.name, span.change.sure or bool(span.end and span.end.sure)
+    every = case.timeline.every("disconnected") if app == sbn.NAME else ()
+    goodbyes_ns = (item.start_lo for item in every if item.change.witness == SAID_GOODBYE)
+    left = any(span.start_lo <= when <= span.start_hi for when in goodbyes_ns)
+    return sure or left or _falls_silent(case, app, span)
 
 
 def _falls_silent(case: Case, app: str, span: StateSpan) -> bool:
@@ -651,7 +657,7 @@ class Stops:
             for reason in reasons_for(case.timeline, way, 0, NEVER, case.at)
             if (way.to_cfs if reason.span.change.subject.kind == "route" else way.link.peers)
             if reason.span.change.subject.kind in _CLOSED and reason.span.change.state != "silent"
-            if reason.span.change.subject.kind != "app" or self._is_sure(reason.span)
+            if reason.span.change.subject.kind != "app" or _is_sure(case, reason.span)
         ]
         for early_ns, until in ((0, "end_lo"), (WAITS_NS, "end_hi")):
             for (_, kind, hop), (span, text), newest in sorted(closed, key=itemgetter(0)):
@@ -665,13 +671,6 @@ class Stops:
                 inside &= newest
                 fate.no_pipe |= inside
                 self.mark(fate, inside, kind, hop, text)
-
-    def _is_sure(self, span: StateSpan) -> bool:
-        """Return whether a stop of SBN is more than a command, which may be lost: it left its peers then."""
-        every = self._case.timeline.every("disconnected")
-        goodbyes_ns = (item.start_lo for item in every if item.change.witness == SAID_GOODBYE)
-        is_certain = span.change.sure or bool(span.end and span.end.sure)
-        return is_certain or any(span.start_lo <= when <= span.start_hi for when in goodbyes_ns)
 
     def _untaken(self, fate: Fate, hop: Hop, newest: Mask) -> Mask:
         """Return which messages an application sends on, corrected by the count of messages nobody received.

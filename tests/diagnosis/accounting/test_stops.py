@@ -15,7 +15,7 @@ from edoras_tools.addons.lab.emulator.account import LOST, socket
 from edoras_tools.cfs import executive_services as es
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.profile import SimProfile
-from edoras_tools.diagnosis.accounting.closed import Stops
+from edoras_tools.diagnosis.accounting.closed import outages
 from edoras_tools.diagnosis.accounting.losses import Outage
 from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE
 from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner, Timeline
@@ -185,8 +185,5 @@ def test_a_command_alone_stops_no_sbn_that_stays_with_its_peers(left_s, is_sure)
     if left_s is not None:
         times = left_s * SECOND, (left_s + 1) * SECOND
         changes.append(Change(0, StateOwner("peer", "66:3"), "disconnected", *times, SAID_GOODBYE))
-    nobody = SimpleNamespace(items=(), systems=())
-    timeline = Timeline(changes)
-    stops = Stops(SimpleNamespace(timeline=timeline, outages=(), instances=nobody), ())
-    (span,) = timeline.spans(command.subject, "stopped")
-    assert stops._is_sure(span) == is_sure
+    found = outages(SimpleNamespace(timeline=Timeline(changes), start_ns=0))
+    assert [item.app for item in found] == ["SBN"] * is_sure
