@@ -621,8 +621,7 @@ def _messages(name: str, routes: tuple[int, ...], rows: ColumnRows) -> Owned:
         assert rows.context.types is not None, "messages have types"
         for item in samples_of(rows):
             if library.full_name(item.type) == library.full_name(name):
-                row = np.searchsorted(rows.indices(), item.row[item.valid])
-                owner = np.concatenate([owner, row])
+                owner = np.concatenate([owner, np.searchsorted(rows.indices(), item.row[item.valid])])
                 offset = np.concatenate([offset, item.offset[item.valid]])
                 length = np.concatenate([length, item.length[item.valid]])
         order = np.argsort(owner, kind="stable")

@@ -353,8 +353,7 @@ class _Counted:
         self._all_out = all(hop.out.link.last_hop for hop in hops)
         """Whether everything read comes out: on other ways newer messages may supersede older ones."""
         self._read_ns = _read_by(hops)
-        firsts = ((int(out[0]), int(sent[0])) for sent, out in self._read)
-        self._first_out = min(firsts, default=(0, 0))
+        self._first_out = min(((int(out[0]), int(sent[0])) for sent, out in self._read), default=(0, 0))
         """Of the first command that came out: a time at which CI had not read it, and when it was sent."""
         self.stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
         """Whether CI read nothing between two samples though datagrams were sent, as on a stalled network."""

@@ -357,8 +357,7 @@ def measured_depth(times: Integers, period: int) -> int:
 
 def _full(times: Integers, period: int, most: int | Integers) -> Integers:
     """Return those of some times at which a burst has reached ``most`` messages, of all times or of each."""
-    burst = np.arange(1, len(times) + 1) - np.searchsorted(times, times - period // 2)
-    return times[burst >= most]
+    return times[np.arange(1, len(times) + 1) - np.searchsorted(times, times - period // 2) >= most]
 
 
 def _beside(times: Integers, starts: Integers, ends: Integers, missing: Integers) -> bool:

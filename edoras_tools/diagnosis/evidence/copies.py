@@ -343,8 +343,7 @@ def find_damaged(rows: Rows, hosts: NDArray[np.int32], *, shared: bool = False) 
     if lost.any():
         host = hosts.take(rows.source)
         number, wrong = np.bincount(host), np.bincount(host[lost], minlength=int(host.max()) + 1)
-        share = np.where(number < _MANY, lost.mean(), wrong / np.maximum(number, 1))
-        lost &= share[host] <= _SELDOM
+        lost &= np.where(number < _MANY, lost.mean(), wrong / np.maximum(number, 1))[host] <= _SELDOM
     if not lost.any():
         return lost, none
     way, standing = rows.way(), []

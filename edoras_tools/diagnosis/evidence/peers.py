@@ -153,8 +153,7 @@ class Connection(msgspec.Struct):
             # Its next datagram was due by its last steps, or else a heartbeat.
             steps = np.diff(self.heard_ns[self.heard_ns <= change.time_ns])[-_LEAST_STEPS:]
             due_ns = change.time_ns + (self.seldom_ns if len(steps) < _LEAST_STEPS else int(steps.max()))
-            times = change.time_ns, back.time_ns, due_ns, given_up_ns
-            silence = PeerSilence(*times, still, answers)
+            silence = PeerSilence(change.time_ns, back.time_ns, due_ns, given_up_ns, still, answers)
             still |= answers > max(_LEAST_ROWS, len(silence.within(self.sent_ns)) // 2)
             yield silence._replace(stood_still=still)
 
@@ -231,8 +230,7 @@ class Network:
                 start = int(np.append(to_connected if greeted else sent, heard)[0])
                 changes = self._changes(rows, heard, start, end_ns, _disconnect_spans(rows, sent))
                 app_ns = rows.time_ns[app]
-                changes = _believed(changes, app_ns)
-                changes = _with_unseen(changes, rows, sent, app)
+                changes = _with_unseen(_believed(changes, app_ns), rows, sent, app)
                 spoke = partial(self._spoke, rows.time_ns[sent])
                 quiet = [at for at, own in enumerate(changes) if own.state == "silent"]
                 mute = [at for at in quiet if not spoke(changes[at].time_ns)]

@@ -599,8 +599,7 @@ def _within(case: Case, span: ClosedSpan, open_ns: int, cause: str | None) -> in
     for loss in case.commands.losses if cause else ():
         if loss.kind == cause and loss.stream and case.endpoints[loss.stream.receiver] == span.port:
             assert loss.among is not None
-            times = loss.stream.time_ns[loss.among.rows]
-            number += _between(times, open_ns, span.end_ns)
+            number += _between(loss.stream.time_ns[loss.among.rows], open_ns, span.end_ns)
     return number
 
 

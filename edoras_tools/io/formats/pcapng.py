@@ -296,8 +296,7 @@ class PcapngSource(capture_file.RecordSource):
         unpack = struct.Struct(f"{self._order}I").unpack_from
 
         def successor(positions: Integers) -> Integers:
-            length = length_at[positions].view(dtype)
-            return (length & np.uint32(_MULTIPLE_OF_4)) + positions
+            return (length_at[positions].view(dtype) & np.uint32(_MULTIPLE_OF_4)) + positions
 
         def step(position: int) -> int:
             return position + (int(unpack(data.data, position + 4)[0]) & _MULTIPLE_OF_4)

@@ -292,8 +292,7 @@ class Recovery(msgspec.Struct, frozen=True):
         Args:
             written: whether a repaired file was written.
         """
-        total = sum(self.messages.values())
-        content = f"{total} {self.unit}"
+        content = f"{sum(self.messages.values())} {self.unit}"
         if self.chunks:
             content += f" in {self.chunks} chunk{'s' * (self.chunks != 1)}"
         if self.whole:
