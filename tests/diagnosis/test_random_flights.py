@@ -117,6 +117,15 @@ def test_a_ci_that_reads_faster_than_assumed_lost_nothing_before_its_first_count
     assert bounds(result)[0] == 0
 
 
+def test_a_ci_that_reads_faster_than_assumed_did_so_before_its_first_count_too():
+    """The capture begins amid 90 commands a second, all of which it reads; its counts come every 4 s."""
+    rounds = {"ci_wake_ns": 100 * MILLISECOND, "to_wake_ns": 100 * MILLISECOND, "housekeeping_ns": 4 * SECOND}
+    simulation, sent = fly(Flight("two-rovers", SimProfile(app_msg_limit=20, **rounds), 45.0, 0.0, 18, 6, ()))
+    result = examined([item for item in sent if item.time_ns > START_NS + 5 * SECOND // 2])
+    assert lost_by(result)["network"] == 0
+    assert bounds(result)[0] <= truth(simulation, sent).most
+
+
 def beside_a_second_peer(profile, hertz, state_hertz, *, send_hertz=0, wants=()):
     """Return a flight of two rovers with a peer more, which sends 0x1827 and gets what it subscribes to."""
     simulation = Simulation(

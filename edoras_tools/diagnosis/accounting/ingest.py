@@ -574,12 +574,12 @@ class _Counted:
         capture came out, or until its socket was empty, CI read only datagrams from before the capture,
         because it reads in order.
         """
-        first = self._own[0]
+        own, first = self._own[:end], self._own[0]
         since_ns = int(self._sent_ns[0]) if len(self._sent_ns) else first.seen_ns
-        most = self._most * max(0, 2 + (first.seen_ns - since_ns) // self._profile.ci_wake_ns) - first.count
+        most = self._most_read(own, own[-1].made_ns + first.seen_ns - since_ns) - own[-1].count - first.count
         out_ns, went_ns = self._first_out
         idle = np.append(np.flatnonzero(np.diff(self._count[:end]) < self._most), end)
-        until = [item for item in self._own[:end][: idle[0] + 1] if item.seen_ns <= out_ns]
+        until = [item for item in own[: idle[0] + 1] if item.seen_ns <= out_ns]
         return min(most, int(self._sent_until(went_ns)) - until[-1].count) if until else most
 
     def _first_count(self) -> tuple[Cause, int]:
