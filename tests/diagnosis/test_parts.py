@@ -110,6 +110,15 @@ def test_behind_a_restart_a_counter_has_grown_from_0_also_where_it_did_not_fall(
     assert (told.growth("msg_limits"), told.set_back) == (10 + 15 + 1, [1])
 
 
+def test_of_samples_that_are_close_together_the_last_is_enough():
+    made_ns = np.array([0, 1, 40, 90, 100, 150, 330]) * MILLISECOND
+    counts = np.array([3, 4, 9, 0, 1, 2, 7])
+    history = Track.of(made_ns, {"msg_limits": counts}, np.zeros(6, bool))
+    assert history.times == [0, 90 * MILLISECOND, 150 * MILLISECOND, 330 * MILLISECOND]
+    assert history.totals["msg_limits"] == [0, 6, 8, 13]
+    assert history.set_back == [0]
+
+
 @pytest.mark.parametrize(
     ("limits", "no_subscribers", "returns"),
     [

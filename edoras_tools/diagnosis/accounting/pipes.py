@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
-from collections.abc import Mapping  # noqa: TC003  TICKS is annotated with it
+from collections.abc import Hashable, Mapping
 from math import ceil
 from typing import TYPE_CHECKING, Any, Final
 
@@ -193,16 +193,20 @@ class Pipes:
 
     def make_losses(self) -> None:
         """Turn the counts that the claims got into losses."""
+        groups = set[tuple[Hashable, ...]]()
         for claim in self.claims:
             own, at = self.whose[claim.key], 0
             if own.standing == _INTO_STOP:  # the stop is their cause: ``closed.Stops`` makes that loss
                 own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += sum(claim.assigned.values())
                 continue
             cut = own.fate.stream.spans[own.span]
-            rows = np.arange(cut.first, cut.last + 1)
-            among = rows[_standing(own.fate)[own.standing][rows]] if claim.assigned else rows
             for (instance, kind), number in claim.by_kind().items():
-                first = (instance, kind, BEFORE) in claim.assigned
+                first, among = (instance, kind, BEFORE) in claim.assigned, own.rows[:0]
+                group = own.fate.stream, own.span, own.standing, instance, kind
+                if group not in groups:  # its first claim shows the messages of all
+                    rows = np.arange(cut.first, cut.last + 1)
+                    among = rows[_standing(own.fate)[own.standing][rows]]
+                    groups.add(group)
                 self.add_loss(own.fate.stream, cut, kind, number, instance, among, first=first)
                 places = own.rows[at : at + number]
                 own.fate.open[places] = own.fate.waits[places] = own.fate.blind[places] = False
@@ -247,8 +251,9 @@ class Pipes:
         key = stream, kind, instance, cut
         if (loss := self._same.get(key)) is not None:
             loss.lost += number
-            before = loss.among.rows if loss.among else among[:0]
-            loss.among = Among(stream, distinct(np.concatenate((before, among))))
+            if len(among):
+                before = loss.among.rows if loss.among else among[:0]
+                loss.among = Among(stream, distinct(np.concatenate((before, among))))
             return
         reported, report = self._from_events(stream, kind, instance)
         evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them{_FIRST if first else ''}"]

@@ -12,7 +12,8 @@ import numpy as np
 from edoras_tools.cfs import sbn, software_bus, telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.wire.arrays import Integers, Mask, Places, numbered
+from edoras_tools.units import MILLISECOND
+from edoras_tools.wire.arrays import Integers, Mask, Places, distinct, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.evidence.table import Rows
 
 
+_APART_NS: Final = 100 * MILLISECOND
+"""Of samples that are closer together the last is enough: no loss is known to so exact a time."""
 _BYTE: Final = 1 << 8
 _LEAST_IDLE: Final = 3
 _WIDTHS: Final = {"pipe_overflows": 16, "msg_limits": 16, "no_subscribers": 8, "send_errors": 8}
@@ -90,7 +93,8 @@ class Track(msgspec.Struct):
             counters: name of a counter to its values, i64 (n,).
             restarted: bool (n - 1,), cFS was started again since the sample before.
         """
-        track, set_back = cls(made_ns.tolist()), restarted.copy()
+        at = distinct(np.array([0, *np.flatnonzero(np.diff(made_ns // _APART_NS)), len(made_ns) - 1]))
+        track, set_back = cls(made_ns[at].tolist()), restarted.copy()
         for name, values in counters.items():
             modulus = 1 << _WIDTHS[name]
             steps = np.diff(values) % modulus
@@ -99,8 +103,8 @@ class Track(msgspec.Struct):
             set_back |= reset & (modulus > _BYTE)
             grown = np.cumsum(np.where(reset, values[1:], steps))
             track.older[name] = int(values[0])
-            track.totals[name] = [0, *grown.tolist()]
-        track.set_back = np.flatnonzero(set_back).tolist()
+            track.totals[name] = np.append(0, grown)[at].tolist()
+        track.set_back = distinct(np.searchsorted(at, np.flatnonzero(set_back), "right") - 1).tolist()
         return track
 
 
