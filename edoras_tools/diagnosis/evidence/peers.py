@@ -30,7 +30,7 @@ from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays import Integers, Places, by_key, groups, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.evidence.table import Rows
@@ -229,16 +229,19 @@ class Network:
                 greeted = (rows.sbn_msg_type[to_connected[:1]] == sbn.MsgType.PROTO).any()
                 start = int(np.append(to_connected if greeted else sent, heard)[0])
                 changes = self._changes(rows, heard, start, end_ns, _disconnect_spans(rows, sent))
-                app_ns = rows.time_ns[app]
+                app_ns, heard_ns = rows.time_ns[app], rows.time_ns[heard]
+                answers = heard_ns[rows.sbn_msg_type[heard] == sbn.MsgType.PROTO]
+                late_at = partial(_late_answers, heard_ns, answers, rows.time_ns[sent])
                 changes = _with_unseen(_believed(changes, app_ns), rows, sent, app)
                 spoke = partial(self._spoke, rows.time_ns[sent])
                 quiet = [at for at, own in enumerate(changes) if own.state == "silent"]
                 mute = [at for at in quiet if not spoke(changes[at].time_ns)]
                 mute += [at + 1 for at in mute if changes[at].why != UNSEEN]
                 changes = [own for at, own in enumerate(changes) if at not in mute]
-                restarts = [item for item in _restarts(rows, heard, sent, changes) if spoke(item.last_ns)]
-                late = {item.time_ns: _late_answers(rows, heard, sent, item.time_ns) for item in changes}
-                about = changes, app_ns, restarts, rows.time_ns[heard], self._seldom_ns, late
+                restarts = _restarts(rows, heard, sent, changes, late_at)
+                restarts = [item for item in restarts if spoke(item.last_ns)]
+                late = {item.time_ns: late_at(item.time_ns) for item in changes}
+                about = changes, app_ns, restarts, heard_ns, self._seldom_ns, late
                 self.connections[peer, observer] = Connection(peer[0], observer[0], *about)
 
     def _changes(
@@ -372,7 +375,9 @@ def _with_unseen(changes: list[PeerChange], rows: Rows, sent: Places, app: Place
     return out
 
 
-def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]) -> list[PeerRestart]:
+def _restarts(
+    rows: Rows, heard: Places, sent: Places, changes: list[PeerChange], late_at: Callable[[int], int]
+) -> list[PeerRestart]:
     """Return the restarts of a peer (rule 5).
 
     A bridge that repeats its subscriptions does so after any silence. It counts as restarted only if it
@@ -399,13 +404,13 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
         followed = any(start_ns <= item.time_ns < end_ns for item in changes)
         read_ns = int(answers[answers <= start_ns].max(initial=0)) if answering else start_ns
         unread_ns = read_ns if answering else start_ns + usual_ns
-        number = int(((app_ns > unread_ns) & (app_ns < end_ns)).sum())
-        again = subs[(subscribes >= end_ns) & (subscribes < end_ns + SECOND // 4)]
+        number = int(np.searchsorted(app_ns, end_ns) - np.searchsorted(app_ns, unread_ns, "right"))
+        again = subs[slice(*np.searchsorted(subscribes, (end_ns, end_ns + SECOND // 4)))]
         if followed or not number or not len(again):
             continue
         if repeats:
             # Who answers some of what it was sent before had stood still, though its socket kept not all.
-            late = _late_answers(rows, heard, sent, end_ns) > min(_LEAST_ROWS, number // 2)
+            late = late_at(end_ns) > min(_LEAST_ROWS, number // 2)
             if late or not answering or 2 * (len(sent_ns) - len(answers)) < number:
                 continue
         around = int(heard[place]), int(heard[again[0]])
@@ -413,14 +418,12 @@ def _restarts(rows: Rows, heard: Places, sent: Places, changes: list[PeerChange]
     return restarts
 
 
-def _late_answers(rows: Rows, heard: Places, sent: Places, back_ns: int) -> int:
+def _late_answers(heard_ns: Integers, answers: Integers, sent_ns: Integers, back_ns: int) -> int:
     """Return how many answers of a peer that is back are to what it had been sent before.
 
     The network may have kept them for as long as the peer was silent.
     """
-    heard_ns, sent_ns = rows.time_ns[heard], rows.time_ns[sent]
     silent_ns = back_ns - int(heard_ns[np.maximum(np.searchsorted(heard_ns, back_ns) - 1, 0)])
-    answers = heard_ns[rows.sbn_msg_type[heard] == sbn.MsgType.PROTO]
-    answers = answers[(answers >= back_ns) & (answers < back_ns + _STILL_NS + silent_ns)]
+    answers = answers[slice(*np.searchsorted(answers, (back_ns, back_ns + _STILL_NS + silent_ns)))]
     asked = np.searchsorted(sent_ns, answers, "right") - np.searchsorted(sent_ns, back_ns)
     return int((np.arange(1, len(answers) + 1) - asked).max(initial=0))

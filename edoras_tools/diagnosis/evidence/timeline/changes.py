@@ -18,7 +18,9 @@ Rules:
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from functools import cached_property
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 _SLACK_NS: Final = 2 * SECOND
 _ENDS_NS: Final = 10 * SECOND
 _ROUND_NS: Final = SECOND
+_TIME: Final = attrgetter("time_ns")
 _CLOCK: Final = StateOwner("clock")
 _OUTPUT: Final = StateOwner("output")
 _ALL_ENTRIES: Final = StateOwner("entry")
@@ -126,8 +129,9 @@ class SoftwareChanges(msgspec.Struct, dict=True):
 
     def _answered(self, command: CommandRecord, words: str) -> bool:
         """Return whether an event soon after a command contains some words."""
-        near = (item for item in self._payloads.events if 0 <= item.time_ns - command.time_ns < _SLACK_NS)
-        return any(words in item.message for item in near)
+        events, until_ns = self._payloads.events, command.time_ns + _SLACK_NS
+        first, end = (bisect_left(events, when, key=_TIME) for when in (command.time_ns, until_ns))
+        return any(words in item.message for item in events[first:end])
 
     def _executive(self, command: CommandRecord, pattern: Change) -> Iterator[Change]:
         state = _APP_STATES.get(command.function_code)
@@ -366,8 +370,9 @@ def _subscriptions(
         subject, text = StateOwner("subscription", peer, msg_id), f"{verb} {peer} for 0x{msg_id:04x}"
         yield Change(system, subject, state, now, now + _WAKE_NS, text, (row,))
     text = f"{peer} was connected and had not subscribed to it"
+    msg_ids, news_ns = np.array([item[1] for item in news]), rows.time_ns[[item[0] for item in news]]
     for since in begins:
-        soon = {msg_id for row, msg_id, _ in news if abs(int(rows.time_ns[row]) - since) <= _WAKE_NS}
-        for msg_id in {msg_id for _, msg_id, _ in news} - soon:
+        soon = msg_ids[np.abs(news_ns - since) <= _WAKE_NS]
+        for msg_id in {*msg_ids.tolist()}.difference(soon.tolist()):
             subject = StateOwner("subscription", peer, msg_id)
             yield Change(system, subject, "unsubscribed", since, since + _WAKE_NS, text)
