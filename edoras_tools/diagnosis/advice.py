@@ -25,7 +25,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import TAIL_NS, Loss
-from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.evidence.copies import crowding, senders_at_once
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner, StateSpan
@@ -202,8 +201,7 @@ def depth_at(case: Case, loss: Loss, queue: queues.Queue) -> int:
     full = any(item.kind == "overflow" and item.hop == loss.hop for item in case.losses)
     if loss.stream is None or not full:
         return queue.depth
-    own = (case.rows.link == loss.stream.link) & (case.rows.source == loss.stream.sender)
-    return min(queue.depth, measured_depth(case.rows.time_ns[own], queue.round_ns))
+    return min(queue.depth, case.measured_depth(loss.stream, queue.round_ns))
 
 
 def _key(loss: Loss) -> tuple[object, ...]:
@@ -336,13 +334,14 @@ def _spread(
 def published_into(case: Case, stream: Stream) -> Arrivals:
     """Return the arrivals at the pipe that a stream comes from, including the lost messages."""
     alike = [
-        (item.msg_id, published_at(case, item))
+        item
         for item in case.streams
         if (item.link, item.sender) == (stream.link, stream.sender)
         and (stream.link.only_from_cfs or item.receiver == stream.receiver)
     ]
-    time_ns = np.concatenate([times for _, times in alike])
-    msg_id = np.concatenate([np.full(len(times), number, np.int64) for number, times in alike])
+    case.published |= {item: published_at(case, item) for item in alike if item not in case.published}
+    time_ns = np.concatenate([case.published[item] for item in alike])
+    msg_id = np.concatenate([np.full(len(case.published[item]), item.msg_id, np.int64) for item in alike])
     return Arrivals(time_ns, msg_id).take(np.argsort(time_ns, kind="stable"))
 
 

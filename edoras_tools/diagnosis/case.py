@@ -32,6 +32,7 @@ from edoras_tools.diagnosis.accounting.claims import Counts
 from edoras_tools.diagnosis.accounting.commands import Commands
 from edoras_tools.diagnosis.accounting.content import judge_contents
 from edoras_tools.diagnosis.accounting.losses import TAIL_NS
+from edoras_tools.diagnosis.accounting.pipes import measured_depth
 from edoras_tools.diagnosis.constants import learn_constants
 from edoras_tools.diagnosis.evidence.clocks.steady import without_steps
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
@@ -218,8 +219,11 @@ class Case:
         self.refused: list[Verdict] = []
         self.verdicts: list[Verdict] = []
         self.advice: dict[tuple[object, ...], Advice] = {}
+        self.published: dict[Stream, Integers] = {}
+        self._into: dict[tuple[Stream, int], bool] = {}
         self._silences: dict[int, list[tuple[int, int]]] = {}
         self._times: dict[tuple[int, ...], Integers] = {}
+        self._depths: dict[tuple[int, ...], int] = {}
         self._events: dict[tuple[tuple[str, ...], frozenset[int]], list[EventRecord]] = {}
 
     @property
@@ -519,6 +523,22 @@ class Case:
             self._times[stream.way] = np.sort(np.concatenate(alike))
         return self._times[stream.way]
 
+    def leaving(self, stream: Stream) -> Integers:
+        """Return when packets of any MsgId left the pipe that a stream comes from, i64 ns."""
+        key = -1, stream.link.code, stream.sender, -1 if stream.link.only_from_cfs else stream.receiver
+        if key not in self._times:
+            own = (self.rows.link == stream.link) & (self.rows.source == stream.sender)
+            own &= stream.link.only_from_cfs | (self.rows.destination == stream.receiver)
+            self._times[key] = self.rows.time_ns[own]
+        return self._times[key]
+
+    def measured_depth(self, stream: Stream, period_ns: int) -> int:
+        """Return the depth of the pipe that a stream comes from, as its largest round shows it."""
+        key = stream.sender, stream.receiver, period_ns
+        if key not in self._depths:
+            self._depths[key] = measured_depth(self.leaving(stream), period_ns)
+        return self._depths[key]
+
     def faults_on(self, stream: Stream) -> Proxied:
         """Return the faults that a proxy injected into a stream's MsgId on its link."""
         to_cfs = stream.link.only_to_cfs or (stream.link.peers and not stream.counted)
@@ -562,8 +582,10 @@ class Case:
 
     def into_system(self, stream: Stream, system: int) -> bool:
         """Return whether a stream into cFS may arrive at a system; True if nothing is known of it."""
-        members = [at for at, other in enumerate(self.instances.systems) if other == system]
-        return not members or any(self.goes_to(stream, at) for at in members)
+        if (stream, system) not in self._into:
+            members = [at for at, other in enumerate(self.instances.systems) if other == system]
+            self._into[stream, system] = not members or any(self.goes_to(stream, at) for at in members)
+        return self._into[stream, system]
 
     def system(self, stream: Stream) -> int:
         """Return the number of the system that a stream into cFS arrives at; 0 if unknown."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable
 from enum import IntEnum
+from itertools import product
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
@@ -203,8 +204,12 @@ def _tables(
 ) -> dict[tuple[int, PipeKind], _Table]:
     """Return a table of claims for each counter that has counts left, or that a path may lead through."""
     used = {place[:2] for claim in claims for place in claim.assigned}
+    asking: dict[tuple[int, PipeKind], list[int]] = {}
+    for at, claim in enumerate(claims):
+        for of in product(claim.instances, claim.kinds[:kinds]):
+            asking.setdefault(of, []).append(at)
     return {
-        (at, kind): _Table((at, kind), own, claims, slack_ns, kinds)
+        (at, kind): _Table((at, kind), own, claims, slack_ns, asking.get((at, kind), []))
         for at, own in counts.items()
         for kind in COUNTERS
         if own.left[kind].any() or (at, kind) in used
@@ -291,7 +296,8 @@ def hand_on(
         givers: claims that the counts were assigned to.
         claims: claims that receive them.
     """
-    table = _Table((instance, kind), counts, claims, 0, len(COUNTERS))
+    asking = [at for at, each in enumerate(claims) if kind in each.kinds and instance in each.instances]
+    table = _Table((instance, kind), counts, claims, 0, asking)
     for place, number in (item for each in givers for item in each.assigned.items()):
         rest = number
         for at in sorted(table.within(place[2]), key=lambda at: claims[at].rank):
@@ -462,12 +468,10 @@ class _Table:
     """
 
     def __init__(
-        self, of: tuple[int, PipeKind], own: Counts, claims: Sequence[Claim], slack_ns: int, kinds: int
+        self, of: tuple[int, PipeKind], own: Counts, claims: Sequence[Claim], slack_ns: int, asking: list[int]
     ) -> None:
         self.instance, self.kind = of
-        self.left, self._claims = own.left[self.kind], claims
-        asking = (at for at, claim in enumerate(claims) if self.kind in claim.kinds[:kinds])
-        self.asking = [at for at in asking if self.instance in claims[at].instances]
+        self.left, self._claims, self.asking = own.left[self.kind], claims, asking
         low = np.array([claims[at].low_ns for at in self.asking], np.int64)
         high = np.array([claims[at].high_ns for at in self.asking], np.int64)
         self._first = np.maximum(own.seconds(low - slack_ns), 0)

@@ -149,10 +149,10 @@ def containing(stream: Stream, at: Places, spans: Sequence[tuple[int, int]]) -> 
         spans: begin and end, capture time in ns.
     """
     times, behind = stream.time_ns, np.minimum(at + 1, len(stream) - 1)
-    out = np.zeros(len(at), bool)
-    for start_ns, end_ns in spans:
-        out |= (times[at] <= start_ns) & (times[behind] >= end_ns)
-    return out
+    starts, ends = np.array([*spans, (NEVER, NEVER)], np.int64).reshape(-1, 2).T
+    order = np.argsort(starts)
+    first_end = np.minimum.accumulate(ends[order][::-1])[::-1]  # of all that start no earlier
+    return np.asarray(first_end[np.searchsorted(starts[order], times[at])] <= times[behind])
 
 
 def lacks_control(case: Case, stream: Stream) -> bool:

@@ -53,7 +53,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     Outage,
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.matching.streams import Span, Stream, bursts
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import carrying
@@ -323,15 +323,16 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
     own = stream.time_ns
     at = np.arange(span.first, min(span.last + 1, len(own) - 1))
     at = at[missing[at] > 0]
+    ends_ns = own[min(span.last + 1, len(own) - 1)]
+    around = span.start_ns - period, ends_ns + 1
     if kind == "overflow":
-        sent = (case.rows.link == stream.link) & (case.rows.source == stream.sender)
-        if not output:
-            sent &= case.rows.destination == stream.receiver
-        times = case.rows.time_ns[sent]
+        times = case.leaving(stream)
+        times = times[slice(*np.searchsorted(times, around))]
         # Part of the pipe's traffic may not be captured: half its depth is taken as full.
-        most_ns = _full(times, period, min(queue.depth // 2, measured_depth(times, period)))
+        most_ns = _full(times, period, min(queue.depth // 2, case.measured_depth(stream, period)))
         return _beside(most_ns, own[at] - period // 2, own[at + 1], missing[at])
     rounds, clean, times = case.rounds(stream, span), limit, case.times(stream)
+    times = times[slice(*np.searchsorted(times, around))]
     if not full and rounds.share >= _FULL and abs(rounds.period_ns - period) < period // 10:
         clean, limit = rounds.most, max(limit, rounds.most)
     limits = np.full(len(times), limit)  # and those that commands set, from then on
@@ -475,6 +476,8 @@ class Leftover:
         self._older_ns = {item.endpoint: item.older_until_ns for item in case.ingests}
         self.uncaptured = Counter[int]()
         self._places: dict[tuple[object, ...], Loss] = {}
+        self._came: dict[Stream, Integers] = {}
+        self._stalls = [*case.timeline.every("stalled")]
         self._beside: frozenset[ReportedLoss] = frozenset()
         self._beside = frozenset(item for item in case.reported_losses if self._at_another(item))
 
@@ -564,7 +567,7 @@ class Leftover:
             span, of = (int(times[members].min()), int(times[members].max())), (item.instance,)
             claims.append(Claim(key, *span, len(members), (kind,), of, Rank.PRESSED, item))
         for slack_ns in (0, WAITS_NS):
-            settle(self._counts, claims, slack_ns)
+            settle({item.instance: counts}, claims, slack_ns)
         return claims
 
     def rivals(self) -> list[Rival]:
@@ -816,11 +819,13 @@ class Leftover:
 
     def _came_ns(self, stream: Stream) -> Integers:
         """Return when messages reached a pipe, i64 ns: those sent while cFS stood still, when it went on."""
-        case, times = self._case, stream.time_ns.copy()
-        for system in {item for item in case.instances.systems if case.into_system(stream, item)}:
-            for span in case.timeline.spans(StateOwner("cfs"), "stalled", system):
-                times[(times > span.start_lo) & (times < span.end_hi)] = min(span.end_hi, case.end_ns)
-        return times
+        if stream not in self._came:
+            self._came[stream] = times = stream.time_ns.copy()
+            for span in self._stalls:
+                if self._case.into_system(stream, span.change.system):
+                    inside = (times > span.start_lo) & (times < span.end_hi)
+                    times[inside] = min(span.end_hi, self._case.end_ns)
+        return self._came[stream]
 
     def _labels(self, flow: Any) -> tuple[str, int, str]:
         """Return link label ("" if not captured), MsgId and pipe of traffic that shares a count."""

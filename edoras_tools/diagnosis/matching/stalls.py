@@ -63,6 +63,11 @@ def stalls(
         steps = np.diff(times)
         if len(steps) < _LEAST_STREAMS:
             continue
+        mine = [
+            item
+            for item in streams
+            if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
+        ]
         pauses = steps[steps > SECOND // 20]
         usual_ns = int(np.quantile(pauses, 0.9)) if len(pauses) else 0
         for at in np.flatnonzero(steps > max(_LEAST_NS, _FACTOR * usual_ns)).tolist():
@@ -71,8 +76,8 @@ def stalls(
                 continue
             own = [
                 item
-                for item in streams
-                if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
+                for item in mine
+                if item.time_ns[0] <= start_ns < item.time_ns[-1]
                 if not reasons_for(timeline, Way(item.msg_id, item.link, system), start_ns, end_ns, str)
             ]
             if _published_nothing(instances, own, (start_ns, end_ns), usual_ns):

@@ -26,7 +26,7 @@ from edoras_tools.wire.arrays import Integers, Places, by_value, groups
 from edoras_tools.words import either, listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import Track
@@ -160,8 +160,9 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
     # another comes in unseen.
     if not case.peers_unseen and not any(item.not_captured for item in case.ingests):
         arriving = _perhaps_unwanted(case)
+        published = [_published(item) - SECOND for item in case.streams if item.link.only_from_cfs]
         for instance, track in case.tracks.items():
-            for msg_id, members, number in _unwanted(case, track, arriving):
+            for msg_id, members, number in _unwanted(case, track, arriving, published):
                 counted[instance, msg_id] = members, number
     reports = {item: events for item, events in case.reported_losses.items() if item.kind == "no_subscriber"}
     for item in (item for item in reports if item.sender.startswith(_HANDS_IN)):
@@ -179,7 +180,9 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
             yield _not_taken(case, msg_id, link, members.tolist(), text, number)
 
 
-def _unwanted(case: Case, track: Track, arriving: Places) -> Iterator[tuple[int, Places, int]]:
+def _unwanted(
+    case: Case, track: Track, arriving: Places, published: Sequence[Integers]
+) -> Iterator[tuple[int, Places, int]]:
     """Yield the MsgIds whose messages alone can be what a counter counted, these, and how many it did.
 
     Of those that are not seen to be taken, and in the fewest of them that fit: at each count it has what was
@@ -189,7 +192,6 @@ def _unwanted(case: Case, track: Track, arriving: Places) -> Iterator[tuple[int,
     counts, spread = track.beyond_steady("no_subscribers", times[arriving], _COUNTED_NS)
     if spread:
         counts = np.array(track.totals["no_subscribers"])
-    published = (_published(item) - SECOND for item in case.streams if item.link.only_from_cfs)
     if (
         counts[-1] <= 0
         or _each_time(seen_ns, counts)
@@ -273,6 +275,8 @@ def _may_be(sent_ns: Integers, seen_ns: Integers, counts: Integers, lag_ns: int,
     Args:
         lost: so many at most were lost before CI.
     """
+    if not len(sent_ns) or sent_ns[-1] < seen_ns[0] - lag_ns or seen_ns[-1] < sent_ns[0]:
+        return False
     if len(seen_ns) > 2 and not _may_be(sent_ns, seen_ns[[0, -1]], counts[[0, -1]], lag_ns, lost):
         return False  # mostly the ends tell
     least, most = (np.searchsorted(sent_ns, seen_ns - before_ns) for before_ns in (lag_ns, 0))

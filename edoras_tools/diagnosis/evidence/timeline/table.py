@@ -12,6 +12,8 @@ Rules:
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
+from operator import attrgetter
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import msgspec
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 
 
 Kind = Literal["cfs", "app", "output", "entry", "peer", "subscription", "route", "clock", "capture"]
+_BEGIN: Final = attrgetter("not_before_ns", "not_after_ns")
 NEVER: Final = int(np.iinfo(np.int64).max)
 
 
@@ -121,9 +124,10 @@ class Timeline:
 
     def __init__(self, changes: Iterable[Change]) -> None:
         by_subject: dict[tuple[int, StateOwner], list[Change]] = {}
-        for change in sorted(changes, key=lambda item: (item.not_before_ns, item.not_after_ns)):
+        for change in sorted(changes, key=_BEGIN):
             _follow(by_subject.setdefault((change.system, change.subject), []), change)
         self._of = by_subject
+        self._spans: dict[tuple[int, StateOwner, str], list[StateSpan]] = {}
         self.subjects: Sequence[tuple[int, StateOwner]] = list(by_subject)
 
     def of(self, subject: StateOwner, system: int = 0) -> Sequence[Change]:
@@ -131,20 +135,37 @@ class Timeline:
         return self._of.get((system, subject), ())
 
     def spans(self, subject: StateOwner, state: str, system: int = 0) -> list[StateSpan]:
-        """Return the spans in which a subject was in a state, in order of time."""
-        own = self.of(subject, system)
-        out = []
-        for at, item in enumerate(own):
-            if item.state == state:
-                end = own[at + 1] if at + 1 < len(own) else None
-                ends = (end.not_before_ns, end.not_after_ns) if end else (NEVER, NEVER)
-                out.append(StateSpan(item.not_before_ns, item.not_after_ns, *ends, item, end))
-        return out
+        """Return the spans in which a subject was in a state, in order of time.
+
+        A change of all entries of a table applies to each entry.
+        """
+        key = system, subject, state
+        if key not in self._spans:
+            own = list(self.of(subject, system))
+            if subject.kind == "entry" and subject.msg_id != NO_MSG_ID:
+                own.clear()
+                for item in self.entry(subject.msg_id, system):
+                    _follow(own, replace(item, subject=subject))
+            ends = [(end.not_before_ns, end.not_after_ns, end) for end in own[1:]] + [(NEVER, NEVER, None)]
+            self._spans[key] = [
+                StateSpan(item.not_before_ns, item.not_after_ns, low, high, item, end)
+                for item, (low, high, end) in zip(own, ends, strict=False)
+                if item.state == state
+            ]
+        return self._spans[key]
+
+    def within(
+        self, subject: StateOwner, state: str, system: int, start_ns: int, end_ns: int
+    ) -> list[StateSpan]:
+        """Return those of these spans that overlap a time."""
+        spans = self.spans(subject, state, system)
+        first = bisect_right(spans, start_ns, key=attrgetter("end_hi"))
+        return spans[first : bisect_left(spans, end_ns, key=attrgetter("start_lo"))]
 
     def entry(self, msg_id: int, system: int) -> list[Change]:
         """Return the changes of an entry of Telemetry Output's table, or of all entries, in order of time."""
         both = [*self.of(StateOwner("entry", "", msg_id), system), *self.of(StateOwner("entry"), system)]
-        return sorted(both, key=lambda item: item.not_before_ns)
+        return sorted(both, key=_BEGIN)
 
     def every(self, *states: str) -> Iterator[StateSpan]:
         """Yield the spans of all subjects in any of some states."""
@@ -239,18 +260,9 @@ def reasons_for(
         Reason(span, reason_text(span, at))
         for system, subject, states in _blocking(way)
         for state in states
-        for span in _spans(timeline, subject, state, system)
-        if span.overlaps(start_ns, end_ns)
+        for span in timeline.within(subject, state, system, start_ns, end_ns)
     ]
     return sorted(reasons, key=lambda item: item.span[:2])
-
-
-def _spans(timeline: Timeline, subject: StateOwner, state: str, system: int) -> list[StateSpan]:
-    """Return the spans of a subject in a state; a change of all entries of a table applies to each entry."""
-    if subject.kind != "entry":
-        return timeline.spans(subject, state, system)
-    both = (replace(item, subject=subject) for item in timeline.entry(subject.msg_id, system))
-    return Timeline(both).spans(subject, state, system)
 
 
 def _blocking(way: Way) -> Iterator[tuple[int, StateOwner, Sequence[str]]]:
