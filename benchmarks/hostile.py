@@ -175,6 +175,14 @@ def rover() -> list[Record]:
     return found
 
 
+def boots(number: int) -> Iterator[Record]:
+    """A real capture so many times, one behind the other: cFS was started again each time."""
+    records = rover()
+    length = records[-1][0] - records[0][0] + 2
+    for turn in range(number):
+        yield from ((second + turn * length, microsecond, octets) for second, microsecond, octets in records)
+
+
 def times(seed: int, share: float = 0.3) -> Iterator[Record]:
     """A real capture of which a share of the times is garbled: bits, zeros, ends of the range, years away."""
     dice = random.Random(seed)
@@ -211,6 +219,7 @@ KINDS: dict[str, Callable[[int], Iterator[Record]]] = {
     "images": images,
     "times": times,
     "overload": overload,
+    "boots": boots,
 }
 
 

@@ -190,10 +190,11 @@ def topic(folder: Path, packets: int) -> dict[str, object]:
 
 
 def growth(folder: Path) -> dict[str, object]:
-    """The doctor on captures that are hard on it: CPU of 1,000 of a kind, and of 4,000."""
+    """The doctor on captures that are hard on it, CPU: 1,000 of a kind and 4,000, boots 20 and 80."""
     found: dict[str, object] = {}
-    for kind in ("sources", "telemetry_sources", "sbn_sources", "strangers", "msg_ids", "pairs", "overload"):
-        for number in (1_000, 4_000):
+    kinds = "sources", "telemetry_sources", "sbn_sources", "strangers", "msg_ids", "pairs", "overload"
+    for kind in (*kinds, "boots"):
+        for number in (20, 80) if kind == "boots" else (1_000, 4_000):
             path = folder / f"{kind}.pcap"
             hostile.write(path, hostile.KINDS[kind](number))
             run = partial(command, [EDORAS, "doctor", "--json", path, *TWO_ROVERS])

@@ -555,7 +555,11 @@ class Case:
 
     def upstream(self, stream: Stream) -> Hop | None:
         """Return the hop that feeds a stream with unchanged packets; None if there is none."""
-        return next((hop for hop in self.hops if hop.out is stream and not hop.rewritten), None)
+        return self._upstream.get(stream)
+
+    @cached_property
+    def _upstream(self) -> dict[Stream, Hop]:
+        return {hop.out: hop for hop in reversed(self.hops) if not hop.rewritten}
 
     def owner(self, stream: Stream) -> int:
         """Return the instance whose pipe a telemetry stream comes out of; ``NOBODY`` if unknown."""
@@ -681,10 +685,11 @@ class Case:
 
         A rate counts if it is above the assumed rate and below every rate at which the stream lost some.
         """
-        lost = [(item.start_ns, item.end_ns) for item in self.losses_of(stream)]
+        lost = self.losses_of(stream)
+        starts, ends = sorted(item.start_ns for item in lost), sorted(item.end_ns for item in lost)
         rates: tuple[list[float], list[float]] = [], []
         for span in stream.spans:
-            lossy = any(span.start_ns <= end_ns and start_ns <= span.end_ns for start_ns, end_ns in lost)
+            lossy = bisect_right(starts, span.end_ns) > bisect_left(ends, span.start_ns)
             if lossy or span.end_ns - span.start_ns >= _CLEAN_NS:
                 rates[lossy].append(span.offered_hz)
         most = min(rates[True], default=np.inf) / _HIGHER

@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable
 from enum import IntEnum
-from itertools import product
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
@@ -204,16 +203,16 @@ def _tables(
 ) -> dict[tuple[int, PipeKind], _Table]:
     """Return a table of claims for each counter that has counts left, or that a path may lead through."""
     used = {place[:2] for claim in claims for place in claim.assigned}
-    asking: dict[tuple[int, PipeKind], list[int]] = {}
-    for at, claim in enumerate(claims):
-        for of in product(claim.instances, claim.kinds[:kinds]):
-            asking.setdefault(of, []).append(at)
-    return {
-        (at, kind): _Table((at, kind), own, claims, slack_ns, asking.get((at, kind), []))
-        for at, own in counts.items()
-        for kind in COUNTERS
-        if own.left[kind].any() or (at, kind) in used
-    }
+    low, high = np.array([(claim.low_ns, claim.high_ns) for claim in claims], np.int64).reshape(-1, 2).T
+    tables = {}
+    for at, own in counts.items():
+        near = np.flatnonzero((high + slack_ns >= own.times[0]) & (low - slack_ns <= own.times[-1])).tolist()
+        near = [place for place in near if at in claims[place].instances]
+        for kind in COUNTERS:
+            if own.left[kind].any() or (at, kind) in used:
+                asking = [place for place in near if kind in claims[place].kinds[:kinds]]
+                tables[at, kind] = _Table((at, kind), own, claims, slack_ns, asking)
+    return tables
 
 
 class Rival(NamedTuple):

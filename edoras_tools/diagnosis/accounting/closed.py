@@ -663,6 +663,8 @@ class Stops:
             for (_, kind, hop), (span, text), newest in sorted(closed, key=itemgetter(0)):
                 inside = fate.open & ~fate.newer & (fate.stop < 0)
                 inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
+                if not inside.any():
+                    continue
                 self._hold_one(fate, inside, newest)
                 inside &= fate.open
                 # Between two that came out the others gave way, also behind the closing.
