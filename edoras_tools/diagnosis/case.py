@@ -220,6 +220,7 @@ class Case:
         self.verdicts: list[Verdict] = []
         self.advice: dict[tuple[object, ...], Advice] = {}
         self.published: dict[Stream, Integers] = {}
+        self._owners: dict[Stream, int] = {}
         self._into: dict[tuple[Stream, int], bool] = {}
         self._silences: dict[int, list[tuple[int, int]]] = {}
         self._times: dict[tuple[int, ...], Integers] = {}
@@ -563,6 +564,11 @@ class Case:
 
     def owner(self, stream: Stream) -> int:
         """Return the instance whose pipe a telemetry stream comes out of; ``NOBODY`` if unknown."""
+        if stream not in self._owners:
+            self._owners[stream] = self._find_owner(stream)
+        return self._owners[stream]
+
+    def _find_owner(self, stream: Stream) -> int:
         start_ns = int(stream.time_ns[0])
         if stream.link.only_from_cfs:
             return self.instances.owner(stream.sender, start_ns)

@@ -510,12 +510,13 @@ def unanswered(case: Case, app: str, system: int, since_ns: int) -> tuple[int, i
     sent = [item for item in case.streams if item.link.only_from_cfs and item.is_housekeeping]
     sent = [item for item in sent if case.instances.system(case.owner(item)) == system]
     msg_ids = () if app in _LINKS else housekeeping_of(app)
+    ends_ns = [0, *sorted(int(item.time_ns[-1]) for item in sent)]
+    # The network may have lost the last ones.
+    late = _SILENT_STEPS if any(item.missing[:-1].any() for item in sent) else 1
     for stream in (item for item in sent if item.known_id in msg_ids and len(item) >= _LEAST_ROUNDS):
-        last_ns = max((int(item.time_ns[-1]) for item in sent if item is not stream), default=0)
+        last_ns = ends_ns[-1 - (stream.time_ns[-1] == ends_ns[-1])]  # of the others
         times, missing = np.append(stream.time_ns, last_ns), np.append(stream.missing[:-1], 0)
         steps, usual = np.diff(times), int(np.median(np.diff(stream.time_ns)))
-        # The network may have lost the last ones.
-        late = _SILENT_STEPS if any(item.missing[:-1].any() for item in sent) else 1
         near = (times[:-1] > since_ns - 2 * usual) & (times[:-1] < since_ns + _ENDS_NS) & (missing == 0)
         for at in np.flatnonzero(near & (steps > 2 * _SILENT_STEPS * usual)).tolist():
             begin, end = int(times[at]) + late * usual, int(times[at + 1]) - 2 * usual
