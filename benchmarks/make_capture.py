@@ -1,7 +1,8 @@
 """Write a large capture of mixed CI, TO and SBN traffic, made of the sample captures' own datagrams.
 
-They come round and round, each with a time, sequence count and IP identification of its own. With ``--tcp``,
-this share of the frames is SBN over TCP, the same messages: most alone in a segment, one in ten cut in two.
+They come round and round, each with a time, a sequence count and an IP identification of its own. With
+``--tcp``, this share of the frames is SBN over TCP, the same messages: most alone in a segment, one in ten
+cut in two.
 
 Run: python benchmarks/make_capture.py FILE [PACKETS] [--cfdp PERCENT] [--tcp PERCENT] [--sbn]
 """
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 SAMPLES = Path(__file__).parents[1] / "samples" / "captures"
 STEP_US = 100
-ROUND = 7919
-"""By how much the IP identification of a frame differs in the next round."""
 PAYLOAD, SBN_HEADER, SBN_APP = 42, 11, 3
 SBN_PORTS = {2234, 2235, 2236}
 
@@ -129,6 +128,7 @@ def main() -> None:
         pool = network + [item for item in pool if item not in network][: len(network) // 9]
     streams = Streams(pool)
     counts: dict[bytes, int] = defaultdict(int)
+    sent: dict[bytes, int] = defaultdict(int)
     files = transfers()
     with options.path.open("wb") as file:
         file.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 262144, 1))
@@ -141,9 +141,10 @@ def main() -> None:
             if at:
                 struct.pack_into(">H", frame, at, 0xC000 | counts[owner] & 0x3FFF)
                 counts[owner] += 1
-            identification = struct.unpack_from(">H", frame, 18)[0]
-            if identification:  # the same one twice would be the same datagram twice
-                struct.pack_into(">H", frame, 18, (identification + ROUND) & 0xFFFF or 1)
+            if frame[18:20] != bytes(2):  # as a kernel counts: the same one twice would be the same datagram
+                ends = bytes(frame[26:38])
+                sent[ends] += 1
+                struct.pack_into(">H", frame, 18, sent[ends] % 0xFFFF + 1)
             second, microsecond = divmod(1_795_241_000_000_000 + number * STEP_US, 1_000_000)
             file.write(struct.pack("<IIII", second, microsecond, len(frame), len(frame)) + frame)
 
