@@ -666,6 +666,15 @@ def test_what_cut_frames_do_not_show_to_come_out_is_not_told_to_be_refused(tmp_p
     assert found.lost + found.unaccounted == lost
 
 
+@pytest.mark.parametrize("first", [0.1, 0.25, 0.4])
+def test_what_an_application_makes_of_some_commands_for_nobody_is_no_loss_of_them(tmp_path, first):
+    """It takes all, at 4 and 2 Hz, and nobody wants what it makes of the newest of each round."""
+    items = mutations.frames(FOLDER / "peer_wants_nothing.pcap.zst")
+    part = items[int(first * len(items)) : int((first + 0.5) * len(items))]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", part))
+    assert found.lost + found.unaccounted == 0
+
+
 def test_two_cfs_of_one_host_that_cut_frames_do_not_name_count_each_loss_once(tmp_path):
     """What Telemetry Output sends before it crosses SBN shows whose it is."""
     items = mutations.frames(FOLDER / "peers_flood_each_other.pcap.zst")

@@ -381,8 +381,7 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     label = np.concatenate((who, len(peers) + port))
     label[len(who) :][from_ >= 0] = who[from_[from_ >= 0]]
     _hand_on_unseen(rows, output, label[len(who) :], from_ >= 0)
-    order = {name: at for at, name in enumerate(sorted(set(names)))}
-    of_name = np.array([order[name] for name in names])[label]
+    of_name = np.array([sorted(set(names)).index(name) for name in names])[label]
     rows_of = np.concatenate((network, output))
     return [np.sort(rows_of[of_name == index]) for index in distinct(of_name).tolist()]
 

@@ -203,11 +203,11 @@ def _unwanted(
     lost = sum(item.lost for item in case.ingests)
     crowded = more_at_once(times[arriving], case.profile.ci_wake_ns, case.profile.ci_datagrams_per_wake)
     lag_ns = DRAINS_NS if crowded else _COUNTED_NS  # what waits in CI's socket is counted late
-    if len(of_rounds := _of_rounds(own, times // case.profile.ci_wake_ns, int(counts[-1]))) > 1:
-        return
-    for size in (len(of_rounds[0]),) if of_rounds else _UNKNOWN:
-        sets = of_rounds or combinations(own, size)
-        every = (np.sort(np.concatenate([own[at] for at in item])) for item in sets)
+    newest = _newest(own, times, case.profile.ci_wake_ns)
+    if any(_may_be(item, seen_ns, counts, lag_ns, lost + _FEW) for item in newest):
+        return  # an application may take all, and what it makes of the newest of each round be for nobody
+    for size in _UNKNOWN:
+        every = (np.sort(np.concatenate([own[at] for at in item])) for item in combinations(own, size))
         fits = [item for item in every if _may_be(times[item], seen_ns, counts, lag_ns, lost)]
         for sent in fits if len(fits) == 1 else ():
             # What the last sample does not have may be on its way, where CI lost nothing.
@@ -219,21 +219,19 @@ def _unwanted(
             return
 
 
-def _of_rounds(own: Mapping[int, Places], round_of: Integers, number: int) -> list[tuple[int, ...]]:
-    """Return the sets of MsgIds with messages in about so many rounds.
-
-    An application may take all of these, and what it makes of the newest of each round be for nobody.
+def _newest(own: Mapping[int, Places], times: Integers, round_ns: int) -> Iterator[Integers]:
+    """Yield the times of the newest of each round, for each set of MsgIds that come more often than that.
 
     Args:
         own: MsgId to its rows.
-        round_of: i64, number of the round of each row.
-        number: number of rounds.
+        times: i64, times of all rows, ns.
     """
-    rounds = {item: len(np.unique(round_of[at])) for item, at in own.items()}
-    sizes = dict.fromkeys((len(rounds), *_UNKNOWN))
-    sets = islice((item for size in sizes for item in combinations(rounds, size)), 20_000)
-    apart = ((item, abs(sum(rounds[at] for at in item) - number)) for item in sets)
-    return [item for item, by in apart if by <= min(2 * len(item), number // 10)]
+    newest = {item: times[at][np.diff(times[at] // round_ns, append=-1) != 0] for item, at in own.items()}
+    sets = (item for size in (len(own), *_UNKNOWN) for item in combinations(own, size))
+    for item in islice(sets, 20_000 if own else 0):
+        last = np.sort(np.concatenate([newest[at] for at in item]))
+        if 10 * len(last) < 9 * sum(len(own[at]) for at in item):
+            yield last
 
 
 def _each_time(seen_ns: Integers, counts: Integers) -> bool:
