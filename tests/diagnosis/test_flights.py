@@ -11,6 +11,7 @@ from places import ROOT
 
 from edoras_tools.diagnosis.rules.about import sent_before
 from edoras_tools.diagnosis.summary import summarize
+from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
@@ -673,6 +674,15 @@ def test_what_an_application_makes_of_some_commands_for_nobody_is_no_loss_of_the
     part = items[int(first * len(items)) : int((first + 0.5) * len(items))]
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", part))
     assert found.lost + found.unaccounted == 0
+
+
+def test_a_peer_of_another_name_is_named_where_nothing_shows_what_became_of_its_messages(tmp_path):
+    items = mutations.frames(FOLDER / "bridge_of_wrong_ids.pcap.zst")
+    items = mutations.only_to(2234, 2236)(items, random.Random(1))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    named = [item for item in found.verdicts if item.rule == "unknown_peer"]
+    assert {(item.severity, item.lost) for item in named} == {(Severity.WARNING, None)}
+    assert any("SBN messages of 66:9" in item.reason for item in named)
 
 
 def test_two_cfs_of_one_host_that_cut_frames_do_not_name_count_each_loss_once(tmp_path):

@@ -538,8 +538,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         peer, start_ns = peer_of(who), case.span(members)[0]
         lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
         messages = members[rows.msg_id[members] != NO_MSG_ID]
-        # What is not followed may have come out.
-        came = np.isin(messages, came_out) | ~np.isin(rows.msg_id[messages], msg_ids)
+        came, followed = np.isin(messages, came_out), np.isin(rows.msg_id[messages], msg_ids)
         usual = case.network.identity_of.get(int(rows.source[members[0]]))
         if not lines and (2 * came.sum() > len(messages) or usual == str(peer)):
             continue  # most there are its own: one that spoke before it is the other
@@ -550,11 +549,13 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             f"{case.endpoints[rows.source[members[0]]]}: "
             + ("cFS refuses them" if lines else "a cFS whose table does not name it refuses them"),
             "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
-            + (_CRASH if rows.streamed[members].any() else ""),
+            + _CRASH * bool(rows.streamed[members].any()),
             lines,
             f", the first of {len(members):,} datagrams" * (len(members) > 1),
         )
-        if len(messages):  # subscriptions are no messages
+        if not lines and 2 * (came | ~followed).sum() > len(messages):  # what is not followed may come out
+            refused = replace(refused, severity=Severity.WARNING, lost=None, of=None)
+        elif len(messages):  # subscriptions are no messages
             refused = replace(refused, lost=len(messages), of=len(messages))
         carried = np.unique(rows.msg_id[members]).tolist()
         yield replace(refused, msg_id=carried[0]) if len(carried) == 1 and len(messages) else refused
