@@ -126,6 +126,28 @@ def test_a_ci_that_reads_faster_than_assumed_did_so_before_its_first_count_too()
     assert bounds(result)[0] <= truth(simulation, sent).most
 
 
+@pytest.mark.parametrize("limit", [4, 8])
+def test_a_network_that_loses_commands_shows_no_limit_of_an_application(limit):
+    """4 Hz, of which the network loses 3 of 10 at random, and bursts that are over the limit."""
+    profile, chance = SimProfile(app_msg_limit=limit, robot_port=8585), random.Random(1)
+    simulation = Simulation(profile, "rover", start_ns=START_NS, command_count=1)
+    bursts = [8 + 5 * at + 0.002 * place for at in range(7) for place in range(13)]
+    sent, target = [], simulation.cfs.ci_endpoint
+    for at, seconds in enumerate(sorted([*(3 + at / 4 for at in range(160)), *bursts])):
+        body = envelope.DEFAULT.emit(messages.twist(at / 97, 0.2))
+        packet = cfe.emit_command(0x1827, 1, body, sequence_flags=0)
+        sent.append(
+            WireDatagram(START_NS + int(seconds * SECOND), simulation.ground.endpoint, target, packet)
+        )
+        if chance.random() >= 0.3:
+            simulation.feed(sent[-1].time_ns, target, packet)
+    sent += simulation.run(START_NS + 50 * SECOND)
+    result = examined(sorted(sent, key=lambda item: item.time_ns))
+    reasons = [item["reason"] for item in result["verdicts"] if item["rule"] == "app_pipe_limit"]
+    assert reasons
+    assert not [text for text in reasons if "(measured)" in text]
+
+
 def beside_a_second_peer(profile, hertz, state_hertz, *, send_hertz=0, wants=()):
     """Return a flight of two rovers with a peer more, which sends 0x1827 and gets what it subscribes to."""
     simulation = Simulation(
