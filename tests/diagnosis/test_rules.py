@@ -1130,6 +1130,19 @@ def test_what_the_kernel_dropped_at_ci_is_lost_there_unless_ci_has_counted(lab, 
     assert route["lost"] == lost
 
 
+@pytest.mark.parametrize("words", ["4/4", "4/4 be", "2/2"])
+def test_a_claim_is_read_in_the_envelope_of_its_route(lab, tmp_path, words):
+    """Not one message of the route fits its struct."""
+    (path,), mission = lab.mission("rover_ground"), tmp_path / "mission.yaml"
+    mission.write_text(path.read_text().replace("mid: 0x827", f'mid: 0x827\n      envelope: "{words}"'))
+    head = envelope.EnvelopeFormat.of_name(words).layout.emit({"buffer_length": 140, "buffer_capacity": 140})
+    payload = (head + b"\0\1\0\0").ljust(100, b"\7")
+    sent = [telemetry(lab, 20 + count, 0x827, payload, count) for count in range(20)]
+    (verdict,) = (item for item in lab.examine(sent, [mission]).verdicts if item.rule == "struct_overrun")
+    assert verdict.lost == 20
+    assert "140 are claimed" in verdict.reason
+
+
 def test_what_the_kernel_dropped_is_told_by_socket_and_host(lab):
     sent, _ = lab.simulate(seconds=20)
     counted = readings(sent, {1234: 5, 2234: 0, 9999: 2}, reassembly_failures=4, interface_drops=11)

@@ -355,14 +355,13 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     from_, ahead = handed_on(rows, network, output), handed_on(rows, output, network)
     crossed = np.flatnonzero(ahead >= 0)
     first, port = numbered(rows.source[output])
-    peers = tuple(names)
     for source, own in by_value(rows.source[output[ahead[crossed]]]):
         # What it sent before that crossed SBN is of its own cFS.
-        owner.setdefault(source, peers[np.bincount(who[crossed[own]]).argmax()][1])
-    quickest = np.array([rows.delay_ns(network[who == at]).min() for at in range(len(peers))])
+        owner.setdefault(source, names[np.bincount(who[crossed[own]]).argmax()][1])
+    quickest = np.array([rows.delay_ns(network[who == at]).min() for at in range(len(names))])
     senders = []
     for source in rows.source[output[first]].tolist():
-        near = {name for host, name in peers if host == hosts[source]}
+        near = {name for host, name in names if host == hosts[source]}
         # If two instances are among its packets, it forwards those of the instance on SBN.
         alone = len(near) == 1 and not _conflict(rows, output[rows.source[output] == source])
         mine = rows.delay_ns(output[(rows.source[output] == source) & (from_ < 0)])
@@ -370,15 +369,15 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
             away = np.abs(quickest - mine.min())
             nearest = np.argsort(away)
             if alone := bool(away[nearest[1]] - away[nearest[0]] > SECOND):
-                near = {peers[nearest[0]][1]}
+                near = {names[nearest[0]][1]}
         name = owner.get(source) or (near.pop() if alone else f"from {source}")
         senders.append((int(hosts[source]), name))
     times = [rows.time_ns[output[port == at]] for at in range(len(first))]
     turns = _in_turn(senders, [(int(item.min()), int(item.max())) for item in times])
+    label = np.concatenate((who, len(names) + port))
     names += [
         (host, f"{name} {turn}" if turn else name) for (host, name), turn in zip(senders, turns, strict=True)
     ]
-    label = np.concatenate((who, len(peers) + port))
     label[len(who) :][from_ >= 0] = who[from_[from_ >= 0]]
     _hand_on_unseen(rows, output, label[len(who) :], from_ >= 0)
     of_name = np.array([sorted(set(names)).index(name) for name in names])[label]

@@ -26,10 +26,12 @@ from edoras_tools.wire.arrays import (
     Prints,
     distinct,
     gather,
+    groups,
     numbered,
     of_bytes,
 )
 from edoras_tools.wire.ccsds import VERSION_1
+from edoras_tools.wire.envelope import DEFAULT, capacity_column
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -368,15 +370,14 @@ class Recorder:
         vain = np.zeros(len(batch), np.int32)
         ids = cfe.known_ids(columns.msg_id, columns.headers)
         open_ = (offset < 0) & (columns.packet_offset >= 0) & ~np.isin(ids, list(MSG_ID_NAMES))
-        command = VERSION_1.is_command(ids)
-        for envelope, some in zip(self.context.unrouted, (open_ & ~command, open_ & command), strict=True):
+        which = np.where(columns.route == NO_ROUTE, -1 - VERSION_1.is_command(ids), columns.route)
+        for number, some in groups(which, np.flatnonzero(open_)):
+            envelope = (*self.context.envelopes, *reversed(self.context.unrouted))[number] or DEFAULT
             behind = (end - payload - envelope.size).astype(np.int32)
-            rows = np.flatnonzero(some & (behind >= _ENCAPSULATION))
-            if not len(rows):
-                continue
+            rows = some[behind[some] >= _ENCAPSULATION]
             head = gather(batch.data, payload[rows], envelope.size + _ENCAPSULATION)
             claimed = envelope.layout.column("buffer_length", head).astype(np.uint64)
-            capacity = envelope.layout.column("buffer_capacity", head).astype(np.uint64)
+            capacity = capacity_column(envelope, head, claimed)
             start = head[:, envelope.size :]
             shaped = (start[:, 0] == 0) & (start[:, 1] <= 1) & (start[:, 2] == 0) & (start[:, 3] == 0)
             shaped &= (claimed >= _ENCAPSULATION) & (claimed < 1 << 31) & (claimed <= capacity)
