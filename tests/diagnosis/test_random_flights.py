@@ -148,6 +148,55 @@ def test_a_network_that_loses_commands_shows_no_limit_of_an_application(limit):
     assert not [text for text in reasons if "(measured)" in text]
 
 
+def without_a_subscriber(sent_ms):
+    """Return MsgId to what is told as lost of messages sent at some times; 0x1827 is taken, unseen.
+
+    The capture begins behind the events that name 0x18a0, and has no later ones.
+    """
+    simulation = Simulation(start_ns=START_NS, command_rate_hz=0.0, with_account=True)
+    body = envelope.DEFAULT.emit(messages.twist(0.5, 0.1))
+    before = [(2200 + at, 0x18A0) for at in range(6)]
+    more = [
+        WireDatagram(
+            START_NS + at * MILLISECOND,
+            simulation.ground.endpoint,
+            simulation.cfs.ci_endpoint,
+            cfe.emit_command(msg_id, edoras_app.SET, body, sequence_flags=0),
+        )
+        for at, msg_id in sorted([*before, *((at, msg_id) for msg_id, own in sent_ms.items() for at in own)])
+    ]
+    for item in more:
+        simulation.feed(item.time_ns, item.destination, item.payload)
+    sent = [*simulation.run(more[-1].time_ns + 10 * SECOND), *more]
+    sent = [item for item in sent if item.time_ns > START_NS + 5 * SECOND and item.payload[:2] != b"\x08\x08"]
+    return lost_by_msg_id(examined(sorted(sent, key=lambda item: item.time_ns)))
+
+
+def lost_by_msg_id(result):
+    return {row["msg_id"]: row["lost"] for row in result["balance"] if row["lost"]}
+
+
+def test_one_message_in_each_round_is_not_told_to_be_what_nobody_took():
+    """Both fit the count: 100 in 100 rounds, and 100 in 50 rounds, of which nobody takes any."""
+    pairs = [6130 + 1000 * at + more for at in range(50) for more in (0, 10)]
+    assert "0x1827" not in without_a_subscriber({0x1827: range(6040, 56040, 500), 0x18A0: pairs})
+
+
+@pytest.mark.parametrize(("first", "other"), [(6130, 32040), (65130, 6040)])
+def test_what_nobody_took_is_told_beside_as_many_rounds_at_another_time(first, other):
+    bursts = [first + 1000 * at + 10 * more for at in range(20) for more in range(5)]
+    sent_ms = {0x1827: range(other, other + 50_000, 500), 0x18A0: bursts}
+    assert without_a_subscriber(sent_ms) == {"0x18a0": 100}
+
+
+@pytest.mark.parametrize("number", [4, 40])
+def test_of_many_msg_ids_that_all_have_no_subscriber_each_is_told(number):
+    sent_ms = {
+        0x1900 + at: [6000 + at * 40_000 // number + more for more in (0, 5, 10)] for at in range(number)
+    }
+    assert without_a_subscriber(sent_ms) == {f"0x{msg_id:04x}": 3 for msg_id in sent_ms}
+
+
 def beside_a_second_peer(profile, hertz, state_hertz, *, send_hertz=0, wants=()):
     """Return a flight of two rovers with a peer more, which sends 0x1827 and gets what it subscribes to."""
     simulation = Simulation(

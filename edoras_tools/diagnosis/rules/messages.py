@@ -186,7 +186,7 @@ def _unwanted(
     """Yield the MsgIds whose messages alone can be what a counter counted, these, and how many it did.
 
     Of those that are not seen to be taken, and in the fewest of them that fit: at each count it has what was
-    sent before it, but for what may still be on its way.
+    sent before it, but for what may still be on its way. None if it may be others, too.
     """
     times, seen_ns = case.rows.time_ns, np.array(track.times)
     counts, spread = track.beyond_steady("no_subscribers", times[arriving], _COUNTED_NS)
@@ -200,16 +200,22 @@ def _unwanted(
         return  # what cFS does as often it may do for nobody: a scheduler wakes those that are not there
     inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
     own = {msg_id: inside[at] for msg_id, at in by_value(case.rows.msg_id[inside])}
-    lost = sum(item.lost for item in case.ingests)
-    crowded = more_at_once(times[arriving], case.profile.ci_wake_ns, case.profile.ci_datagrams_per_wake)
+    lost, wake_ns = sum(item.lost for item in case.ingests), case.profile.ci_wake_ns
+    crowded = more_at_once(times[arriving], wake_ns, case.profile.ci_datagrams_per_wake)
     lag_ns = DRAINS_NS if crowded else _COUNTED_NS  # what waits in CI's socket is counted late
-    newest = _newest(own, times, case.profile.ci_wake_ns)
-    if any(_may_be(item, seen_ns, counts, lag_ns, lost + _FEW) for item in newest):
-        return  # an application may take all, and what it makes of the newest of each round be for nobody
-    for size in _UNKNOWN:
-        every = (np.sort(np.concatenate([own[at] for at in item])) for item in combinations(own, size))
-        fits = [item for item in every if _may_be(times[item], seen_ns, counts, lag_ns, lost)]
-        for sent in fits if len(fits) == 1 else ():
+    newest = {item: times[at][np.diff(times[at] // wake_ns, append=-1) != 0] for item, at in own.items()}
+    # An application may take all of these, and what it makes of the newest of each round be for nobody.
+    of_rounds = [
+        item
+        for item, last in _sets(newest)
+        if 10 * len(last) < 9 * sum(len(own[at]) for at in item)
+        and _may_be(last, seen_ns, counts, lag_ns, lost + _FEW)
+    ]
+    sizes = dict.fromkeys((*_UNKNOWN, len(own) or 1))  # of very many MsgIds there are too many sets
+    for size in (at for at in sizes if at == len(own) or len(own) ** at < 100_000):
+        sets = ((item, np.sort(np.concatenate([own[at] for at in item]))) for item in combinations(own, size))
+        fits = {item: sent for item, sent in sets if _may_be(times[sent], seen_ns, counts, lag_ns, lost)}
+        for sent in fits.values() if len({*of_rounds, *fits}) == 1 else ():
             # What the last sample does not have may be on its way, where CI lost nothing.
             until = len(sent) if lost else counts[-1] + int(np.searchsorted(times[sent], seen_ns[0]))
             part = counts[-1] / len(sent) if lost else 1
@@ -219,19 +225,11 @@ def _unwanted(
             return
 
 
-def _newest(own: Mapping[int, Places], times: Integers, round_ns: int) -> Iterator[Integers]:
-    """Yield the times of the newest of each round, for each set of MsgIds that come more often than that.
-
-    Args:
-        own: MsgId to its rows.
-        times: i64, times of all rows, ns.
-    """
-    newest = {item: times[at][np.diff(times[at] // round_ns, append=-1) != 0] for item, at in own.items()}
-    sets = (item for size in (len(own), *_UNKNOWN) for item in combinations(own, size))
-    for item in islice(sets, 20_000 if own else 0):
-        last = np.sort(np.concatenate([newest[at] for at in item]))
-        if 10 * len(last) < 9 * sum(len(own[at]) for at in item):
-            yield last
+def _sets(of: Mapping[int, Integers]) -> Iterator[tuple[tuple[int, ...], Integers]]:
+    """Yield each set of a few MsgIds, or of all, with their values in order; of very many only some."""
+    sizes = dict.fromkeys((len(of), *_UNKNOWN) if of else ())
+    for item in islice((item for size in sizes for item in combinations(of, size)), 20_000):
+        yield item, np.sort(np.concatenate([of[at] for at in item]))
 
 
 def _each_time(seen_ns: Integers, counts: Integers) -> bool:
@@ -342,11 +340,9 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
 
 def _watched(case: Case, stream: Stream) -> bool:
     fate = case.commands.fates.get(stream)
-    if fate is not None and fate.seen:
-        return True
     times = stream.time_ns[:: max(1, len(stream) // _ASKED)].tolist()
     watched = sum(any(track.watches(when) for track in case.tracks.values()) for when in times)
-    return watched > len(times) // 2
+    return (fate is not None and fate.seen) or watched > len(times) // 2
 
 
 def wrong_direction(case: Case) -> Iterator[Verdict]:
@@ -360,10 +356,8 @@ def wrong_direction(case: Case) -> Iterator[Verdict]:
             continue  # peers send commands and telemetry
         against = case.mission.msg_ids.is_command(route.msg_id) != (route.link is CI)
         elsewhere = TO if route.link is CI else CI
-        own, other = (
-            np.flatnonzero((rows.link == link) & (rows.msg_id == route.msg_id))
-            for link in (route.link, elsewhere)
-        )
+        alike = rows.msg_id == route.msg_id
+        own, other = (np.flatnonzero((rows.link == link) & alike) for link in (route.link, elsewhere))
         # One stray datagram is a bad command; a route is wrong when it never travels as configured.
         if not against and (not len(other) or len(own)):
             continue
