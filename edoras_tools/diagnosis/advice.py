@@ -333,12 +333,8 @@ def _spread(
 
 def published_into(case: Case, stream: Stream) -> Arrivals:
     """Return the arrivals at the pipe that a stream comes from, including the lost messages."""
-    alike = [
-        item
-        for item in case.streams
-        if (item.link, item.sender) == (stream.link, stream.sender)
-        and (stream.link.only_from_cfs or item.receiver == stream.receiver)
-    ]
+    alike = [item for item in case.streams if (item.link, item.sender) == (stream.link, stream.sender)]
+    alike = [item for item in alike if stream.link.only_from_cfs or item.receiver == stream.receiver]
     case.published |= {item: published_at(case, item) for item in alike if item not in case.published}
     time_ns = np.concatenate([case.published[item] for item in alike])
     msg_id = np.concatenate([np.full(len(case.published[item]), item.msg_id, np.int64) for item in alike])
@@ -404,8 +400,9 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     waiting = sum(item.waiting for item in case.ingests_at(stream.receiver))
     number = at_limit + in_socket or loss.lost
     model = arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id)
-    fits, slow = _explains(model, number, waiting), number > _FITS[1] * max(model) + _FEW
+    fits = _explains(model, number, waiting)
     why = f"{why[:-1]}, and fits what was lost)" if fits else why
+    slow = number > _FITS[1] * max(model) + _FEW and _reads_late(case, loss)
     senders = len(senders_at_once(case.rows, _rows_of(loss)))
     slower = f"send at most {_safe(clean):g} Hz"
     if senders > 1:
@@ -431,6 +428,19 @@ def _at_application(case: Case, loss: Loss) -> Advice:
         slower = f"send CI at most {all_hz:g} Hz in all, {_safe(clean):g} Hz of each MsgId"
         return Advice(why, f"{slower} (up to {arrivals.rate():,} a second were sent)")
     return Advice(why, slower, max(paced.lost(way, stream.msg_id)) if fits else None)
+
+
+def _reads_late(case: Case, loss: Loss) -> bool:
+    """Return whether a loss beyond the assumed limit cannot be due to a lower one.
+
+    A lower limit shows in the rounds at the robot, and loses some in most rounds.
+    """
+    at_robot = any(hop.into is loss.stream and hop.out.link.last_hop for hop in case.hops)
+    if at_robot or loss.kind == "socket" or (track := case.tracks.get(loss.instance)) is None:
+        return at_robot and loss.kind != "socket"
+    times, grown = np.array(track.times), np.diff(track.totals["msg_limits"])
+    grown = grown[(times[:-1] >= loss.start_ns) & (times[1:] <= loss.end_ns)]
+    return bool(2 * np.count_nonzero(grown) < len(grown))
 
 
 def _meanwhile(case: Case, loss: Loss, kind: str) -> int:

@@ -197,6 +197,16 @@ def test_of_many_msg_ids_that_all_have_no_subscriber_each_is_told(number):
     assert without_a_subscriber(sent_ms) == {f"0x{msg_id:04x}": 3 for msg_id in sent_ms}
 
 
+@pytest.mark.parametrize(("scenario", "hertz"), [("rover", 20.0), ("arm", 30.0)])
+def test_a_limit_that_nothing_shows_is_not_told_as_a_late_application(scenario, hertz):
+    """Its limit is 2, and nothing comes to a robot here; at 30 Hz CI's socket is full, too."""
+    _, sent = fly(Flight(scenario, SimProfile(app_msg_limit=2), hertz, 1.0, 30, 10, ()))
+    remedies = [item["remedy"] for item in examined(sent)["verdicts"] if item["lost"]]
+    assert len(remedies) == (2 if hertz > 22 else 1)
+    assert all("send at most 7.9 Hz" in item for item in remedies)
+    assert not any("see what keeps the application's task" in item for item in remedies)
+
+
 def beside_a_second_peer(profile, hertz, state_hertz, *, send_hertz=0, wants=()):
     """Return a flight of two rovers with a peer more, which sends 0x1827 and gets what it subscribes to."""
     simulation = Simulation(

@@ -95,8 +95,7 @@ def to_message_limit(case: Case) -> Iterator[Verdict]:
     Name the MsgId, and the rate that gets through, as measured where it can be.
     """
     for loss in case.losses:
-        its_own = not loss.closed and not loss.rivals
-        if loss.kind == "limit" and loss.hop == telemetry_output.PIPE and its_own:
+        if loss.kind == "limit" and loss.hop == telemetry_output.PIPE and not (loss.closed or loss.rivals):
             yield _over_limit(case, loss, "to")
 
 
@@ -242,11 +241,9 @@ def lost_before_ci(case: Case) -> Iterator[Verdict]:
             why = "they did not come " + ("out" if relay else "to cFS")
             if not (relay or peers):
                 reads_hz = profile.ci_datagrams_per_wake * SECOND / profile.ci_wake_ns
-                why = "CI did not read them, and " + (
-                    "it can read so many"
-                    if loss.offered_hz < reads_hz
-                    else f"its socket can hold what waited ({profile.socket_queue:,}, assumed)"
-                )
+                why = f"its socket can hold what waited ({profile.socket_queue:,}, assumed)"
+                why = "it can read so many" if loss.offered_hz < reads_hz else why
+                why = f"CI did not read them, and {why}"
             more = ": a capture on the cFS host shows which of them arrive there" * (not case.capture.shared)
             remedy = f"look at the {'network' if peers else 'uplink'}{more}"
             if relay:
