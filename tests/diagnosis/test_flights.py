@@ -428,6 +428,15 @@ def test_an_application_that_reads_late_is_helped_by_no_rate_and_no_limit(name):
     assert "CFE_SB_SubscribeEx" not in text
 
 
+def test_an_application_that_reads_its_pipe_again_is_not_told_to_be_restarted_in_vain(tmp_path):
+    """It sends no housekeeping any more, and no counter says that its pipe fills; the robot gets the rest."""
+    items = mutations.frames(FOLDER / "crashed_twice.pcap.zst")
+    items = mutations.only_to(1234, 1235)(items, random.Random(1))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    proven, (lost, _) = found.lost + found.unaccounted, FLIGHTS["crashed_twice"]
+    assert 102 <= proven <= lost <= proven + found.uncertain
+
+
 def test_a_pause_of_its_reader_shows_no_limit():
     assert "TO keeps 4 of this MsgId" in first_screen(examined("stood_still_three_times"))
 

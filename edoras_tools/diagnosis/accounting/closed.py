@@ -780,11 +780,7 @@ class Stops:
                 most = later[item.among.rows].sum() if item.stream is stream and item.among else item.lost
                 of[item.stream] += int(min(item.lost, most))
             # A count soon after that may be of a message sent before; a later one is of one of these.
-            tracks = [track for at, track in self._case.tracks.items() if self._case.goes_to(stream, at)]
-            soon, late = (
-                sum(track.growth(name, when) for track in tracks for name in COUNTERS.values())
-                for when in (since_ns, since_ns + TAIL_NS)
-            )
+            soon, late = (self._grown(stream, when) for when in (since_ns, since_ns + TAIL_NS))
             surely = max(0, min(of[stream], late - of.total() + of[stream]))
             fate.followed -= min(fate.followed, fate.claim(marked[:surely]))
             marked = marked[min(of[stream] + of[None] + fate.ends["shared"], soon) :]
@@ -793,6 +789,11 @@ class Stops:
                 kind, hop, text = causes[place]
                 losses.append(fate.loss(kind, rows, [text], hop=hop))
                 fate.claim(rows)
+
+    def _grown(self, stream: Stream, start_ns: int, end_ns: int | None = None) -> int:
+        """Return how many losses each cFS that a stream may go to counted between two times."""
+        tracks = [track for at, track in self._case.tracks.items() if self._case.goes_to(stream, at)]
+        return sum(track.growth(name, start_ns, end_ns) for track in tracks for name in COUNTERS.values())
 
     def _read(self, stream: Stream) -> Mask:
         """Return which messages do not wait in CI's socket at its last count: bool (rows,)."""
@@ -824,6 +825,9 @@ class Stops:
                 self.losses.append(fate.loss("stopped", lacking, [item.witness], hop=item.app))
             begin, end = unanswered(case, item.app, item.system, item.start_ns)
             marked = fate.open & read & (times > begin) & (times < end) & (not case.quality.lacks_answered)
+            # Where nobody reads its pipe again, 0x803 counts what that has no room for.
+            most = self._grown(fate.stream, begin, end) + case.profile.app_pipe_depth
+            marked &= (not item.restarted) | (int(marked.sum()) <= most)
             text = f"{item.witness}; no housekeeping of it came from {case.at(begin)} on"
             self.mark(fate, marked, "stopped" if item.end_ns is None else "restart_failed", item.app, text)
         first = min(own, key=lambda item: item.start_ns)
