@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations, islice
+from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -146,6 +146,7 @@ _COUNTED_NS = 2200 * MILLISECOND
 _FEW = 8
 _UNKNOWN = (1, 2, 3)
 """So many MsgIds that nobody takes are looked for."""
+_MANY_SETS: Final = 20_000
 _HANDS_IN: Final = ("CI", "SBN")
 """Applications that hand to the software bus what came in; their names begin so."""
 
@@ -203,33 +204,32 @@ def _unwanted(
     lost, wake_ns = sum(item.lost for item in case.ingests), case.profile.ci_wake_ns
     crowded = more_at_once(times[arriving], wake_ns, case.profile.ci_datagrams_per_wake)
     lag_ns = DRAINS_NS if crowded else _COUNTED_NS  # what waits in CI's socket is counted late
-    newest = {item: times[at][np.diff(times[at] // wake_ns, append=-1) != 0] for item, at in own.items()}
+
+    def may_be(sent: Places, more: int = 0) -> bool:
+        return _may_be(times[sent], seen_ns, counts, lag_ns, lost + more)
+
+    newest = {item: at[np.diff(times[at] // wake_ns, append=-1) != 0] for item, at in own.items()}
     # An application may take all of these, and what it makes of the newest of each round be for nobody.
-    of_rounds = [
-        item
-        for item, last in _sets(newest)
-        if 10 * len(last) < 9 * sum(len(own[at]) for at in item)
-        and _may_be(last, seen_ns, counts, lag_ns, lost + _FEW)
-    ]
-    sizes = dict.fromkeys((*_UNKNOWN, len(own) or 1))  # of very many MsgIds there are too many sets
-    for size in (at for at in sizes if at == len(own) or len(own) ** at < 100_000):
-        sets = ((item, np.sort(np.concatenate([own[at] for at in item]))) for item in combinations(own, size))
-        fits = {item: sent for item, sent in sets if _may_be(times[sent], seen_ns, counts, lag_ns, lost)}
-        for sent in fits.values() if len({*of_rounds, *fits}) == 1 else ():
-            # What the last sample does not have may be on its way, where CI lost nothing.
-            until = len(sent) if lost else counts[-1] + int(np.searchsorted(times[sent], seen_ns[0]))
-            part = counts[-1] / len(sent) if lost else 1
-            for msg_id, members in groups(case.rows.msg_id, sent[:until]):
-                yield msg_id, members, round(part * len(members))
-        if fits:
-            return
+    seldom = ((item, at) for item, at in _sets(newest) if 10 * len(at) < 9 * sum(len(own[x]) for x in item))
+    of_rounds, fits = {item for item, at in seldom if may_be(at, _FEW)}, dict[tuple[int, ...], Places]()
+    for item, sent in _sets(own):
+        if fits and len(item) > len(next(iter(fits))):
+            break  # the fewest that fit
+        if may_be(sent):
+            fits[item] = sent
+    for sent in fits.values() if len({*of_rounds, *fits}) == 1 else ():
+        # What the last sample does not have may be on its way, where CI lost nothing.
+        until = len(sent) if lost else counts[-1] + int(np.searchsorted(times[sent], seen_ns[0]))
+        part = counts[-1] / len(sent) if lost else 1
+        for msg_id, members in groups(case.rows.msg_id, sent[:until]):
+            yield msg_id, members, round(part * len(members))
 
 
-def _sets(of: Mapping[int, Integers]) -> Iterator[tuple[tuple[int, ...], Integers]]:
-    """Yield each set of a few MsgIds, or of all, with their values in order; of very many only some."""
-    sizes = dict.fromkeys((len(of), *_UNKNOWN) if of else ())
-    for item in islice((item for size in sizes for item in combinations(of, size)), 20_000):
-        yield item, np.sort(np.concatenate([of[at] for at in item]))
+def _sets(of: Mapping[int, Places]) -> Iterator[tuple[tuple[int, ...], Places]]:
+    """Yield each set of one MsgId, of a few, then of all, with their rows; not of sizes with very many."""
+    for size in dict.fromkeys((*_UNKNOWN, len(of))) if of else ():
+        for item in combinations(of, size) if size == len(of) or len(of) ** size < _MANY_SETS else ():
+            yield item, np.sort(np.concatenate([of[at] for at in item]))
 
 
 def _each_time(seen_ns: Integers, counts: Integers) -> bool:
