@@ -78,7 +78,8 @@ OTHER = {"msg_id": 0x828, "pipe": "TO_LAB_TLM_PIPE", "sender": "EDORAS_APP"}
         (0, [], 0, ""),
         (5, [OURS] * 5, 5, "EDORAS_APP_PIPE"),
         (40, [OURS] * 16, 40, "EDORAS_APP_PIPE"),  # events stop after 16
-        (5, [], 5, "application pipe"),  # no event: the commands came too fast
+        (30, [], 30, "application pipe"),  # no event: the commands came too fast
+        (5, [], 5, "software bus"),  # of 12 Hz a pipe of 4 loses 33: it is not that
         (5, [OTHER] * 5, 0, ""),
     ],
 )
