@@ -546,6 +546,8 @@ class _Table:
             reserve: the claims share the counts, and none gets them.
             most: upper bound.
         """
+        if not self.left[second]:
+            return 0
         turn = second % max(1, len(takers))  # a remainder goes to another claim each time
         takers = [*takers[turn:], *takers[:turn]]
         before, opened = int(self.left[second]), [self._claims[at].open for at in takers]

@@ -288,12 +288,13 @@ def _fills(case: Case, fate: Fate, instance: int, times: Integers, round_ns: int
     track, profile = case.tracks[instance], case.profile
     if not more_at_once(times, round_ns, limit):
         return False
+    times = times[fate.open & (times > track.times[0]) & (times < track.times[-1])]
+    if _over(times, round_ns, limit) <= 2 * sum(track.growth(name) for name in COUNTERS.values()):
+        return True
     link, receiver = fate.stream.link, fate.stream.receiver
     came_ns = case.rows.time_ns[(case.rows.link == link) & (case.rows.destination == receiver)]
-    times = times[fate.open & (times > track.times[0]) & (times < track.times[-1])]
-    grown = sum(track.growth(name) for name in COUNTERS.values())
-    backlog = more_at_once(came_ns, profile.ci_wake_ns, profile.ci_datagrams_per_wake)  # not at the pipe yet
-    return backlog or _over(times, round_ns, limit) <= 2 * grown
+    # Then some are not at the pipe yet.
+    return more_at_once(came_ns, profile.ci_wake_ns, profile.ci_datagrams_per_wake)
 
 
 def _over(times: Integers, round_ns: int, limit: int) -> int:
