@@ -242,10 +242,11 @@ def capacity(case: Case, loss: Loss) -> str:
     elif loss.kind == "socket":
         queue = queues.ci_socket(case.profile)
         limit, keeps, names = queue.reads, "CI reads {}", ("ci_wake_ns", "ci_datagrams_per_wake")
-    elif hz := _lossless_hz(case, loss):
-        return f"{hz:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)"
     else:
         queue, source = case.application_pipe(loss)
+        clean = queue.rate_hz(queue.usual_limit)
+        if loss.stream is not None and (hz := case.lossless_hz(loss.stream, clean)):
+            return f"{hz:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)"
         keeps, origin = f"it keeps {{}} of one MsgId, and {who} hands over a burst", f" ({source})"
         limit, names = queue.usual_limit, ()
     rate = f" every {queue.round_ns / MILLISECOND:.0f} ms: {queue.rate_hz(limit):.0f} a second get through"
@@ -256,12 +257,6 @@ def capacity(case: Case, loss: Loss) -> str:
 def _at_output(loss: Loss) -> bool:
     """Return whether a loss is at the pipe of Telemetry Output or of an SBN peer."""
     return loss.hop == telemetry_output.PIPE or loss.hop.startswith("SBN_")
-
-
-def _lossless_hz(case: Case, loss: Loss) -> float:
-    """Return the highest rate at which the stream of a loss at an application lost nothing; 0 if unknown."""
-    pipe, _ = case.application_pipe(loss)
-    return case.lossless_hz(loss.stream, pipe.rate_hz(pipe.usual_limit)) if loss.stream else 0.0
 
 
 def _at_pipe(case: Case, loss: Loss) -> Advice:
@@ -390,7 +385,7 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     stream = loss.stream
     if stream is None:
         return Advice(why, f"send at most {_safe(clean):g} Hz, or {_subscribed('a higher limit')}")
-    if loss.kind != "socket" and (hz := _lossless_hz(case, loss)):
+    if loss.kind != "socket" and (hz := case.lossless_hz(stream, clean)):
         return Advice(why, f"send at most {_safe(hz):g} Hz, evenly")
     rows = np.flatnonzero((case.rows.link == stream.link) & (case.rows.destination == stream.receiver))
     arrivals = Arrivals(case.rows.time_ns[rows], case.rows.msg_id[rows].astype(np.int64))

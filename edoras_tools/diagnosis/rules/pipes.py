@@ -63,7 +63,7 @@ def _by_another(case: Case, loss: Loss, least: str) -> Verdict:
 
 
 def _over_app_limit(case: Case, loss: Loss) -> Verdict:
-    period_ns = case.application_pipe(loss)[0].round_ns
+    period_ns = queues.application_pipe(case.profile, over_network=loss.over_network).round_ns
     least = "at least " if loss.instance not in case.tracks else ""
     beside = loss.stream is None and any(item.msg_id == loss.msg_id for item in case.streams)
     if loss.sender and (beside or not loss.sender.startswith((*command_ingest.NAMES, "SBN"))):
