@@ -26,6 +26,8 @@ PRELOADED = ("cli", "pipelines", "render")
 PLAIN = (True, None, None, None, -1, False)
 """What ``Popen`` is told of signals, groups, user, umask and session where nobody asks for any."""
 PR_SET_CHILD_SUBREAPER = 36
+ONE_AT_A_TIME = threading.Lock()
+"""Whose child a command becomes is a setting of the whole process: two threads would undo each other's."""
 
 
 class Popen(subprocess.Popen):
@@ -48,8 +50,9 @@ class Popen(subprocess.Popen):
             super()._execute_child(args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest)
             return
         streams = [end if end >= 0 else number for number, end in enumerate((ends[0], ends[3], ends[5]))]
-        server = _server(os.getpid(), self._packages)
-        self.pid = server.start([*map(os.fspath, args)], str(cwd or Path.cwd()), streams, environ)
+        with ONE_AT_A_TIME:
+            server = _server(os.getpid(), self._packages)
+            self.pid = server.start([*map(os.fspath, args)], str(cwd or Path.cwd()), streams, environ)
         self._child_created = True
         self._close_pipe_fds(*ends)
 
@@ -84,7 +87,6 @@ class _Server:
 
     def __init__(self, packages):
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._one_at_a_time = threading.Lock()
         environ = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}  # as edoras does: threads do not survive a fork
         self._process = subprocess.Popen(
             [sys.executable, __file__, str(theirs.fileno())],
@@ -97,15 +99,14 @@ class _Server:
     def start(self, words, folder, streams, environ):
         """Start a process, a child of this one; return its number."""
         prctl = ctypes.CDLL(None).prctl
-        with self._one_at_a_time:
-            prctl(PR_SET_CHILD_SUBREAPER, 1)  # whose parent ends, it becomes the child of this process
-            try:
-                given = json.dumps([words, folder, environ]).encode()
-                socket.send_fds(self._socket, [given], streams)
-                child = int(self._socket.recv(16))
-                assert self._socket.recv(16) == b"parent ended"
-            finally:
-                prctl(PR_SET_CHILD_SUBREAPER, 0)
+        prctl(PR_SET_CHILD_SUBREAPER, 1)  # whose parent ends, it becomes the child of this process
+        try:
+            given = json.dumps([words, folder, environ]).encode()
+            socket.send_fds(self._socket, [given], streams)
+            child = int(self._socket.recv(16))
+            assert self._socket.recv(16) == b"parent ended"
+        finally:
+            prctl(PR_SET_CHILD_SUBREAPER, 0)
         return child
 
 
