@@ -533,6 +533,12 @@ class Case:
             self._times[key] = self.rows.time_ns[own]
         return self._times[key]
 
+    def arriving(self, receiver: int) -> Integers:
+        """Return when datagrams were sent to an endpoint, i64 ns, in order."""
+        if (receiver,) not in self._times:
+            self._times[receiver,] = np.sort(self.rows.time_ns[self.rows.destination == receiver])
+        return self._times[receiver,]
+
     def measured_depth(self, stream: Stream, period_ns: int) -> int:
         """Return the depth of the pipe that a stream comes from, as its largest round shows it."""
         key = stream.sender, stream.receiver, period_ns

@@ -216,7 +216,7 @@ class Telemetry:
                 if at == part.owner:
                     part.assigned[kind] += number
             if claim.rank == Rank.POSSIBLE:  # behind the last message that came, where no gap shows it
-                part.missing += sum(claim.assigned.values())
+                part.missing += claim.explained
             else:
                 part.shared += claim.reserved
                 part.watched &= not claim.doubtful

@@ -138,7 +138,8 @@ class Claim(msgspec.Struct):
         instances: cFS instances that may have counted them.
         rank: order of service, lowest first.
         flow: their stream, or whatever else identifies their traffic.
-        assigned: counts that were assigned to them, by place.
+        assigned: counts that were assigned to them, by place; only ``give`` changes them.
+        explained: messages that they explain, as many as there are such counts.
         reserved: counts that they share with claims of other traffic.
         doubtful: whether it lost counts that other messages may have caused: nothing shows whose they are.
         perhaps_missed: messages that are not in ``number``, because the capture may have missed them.
@@ -153,6 +154,7 @@ class Claim(msgspec.Struct):
     rank: int = 0
     flow: Hashable = None
     assigned: dict[Place, int] = msgspec.field(default_factory=dict)
+    explained: int = 0
     reserved: int = 0
     doubtful: bool = False
     perhaps_missed: int = 0
@@ -160,10 +162,11 @@ class Claim(msgspec.Struct):
     @property
     def open(self) -> int:
         """Number of messages that no count explains yet."""
-        return self.number - sum(self.assigned.values()) - self.reserved
+        return self.number - self.explained - self.reserved
 
     def give(self, place: Place, number: int) -> None:
         """Assign counts, or take some back if ``number`` is negative."""
+        self.explained += number
         self.assigned[place] = self.assigned.get(place, 0) + number
         if not self.assigned[place]:
             del self.assigned[place]
@@ -366,11 +369,12 @@ def settle_possible(
                 for second in np.flatnonzero(table.left).tolist() if asking else ():
                     takers = [at for at in table.within(second) if at in asking and claims[at].open]
                     span = counts[table.instance].times[second : second + 2].tolist()
-                    flows = table.sharers(second, takers, rivals, span)
+                    unseen = table.unseen(second, rivals, span)
+                    flows = table.sharers(second, takers, unseen)
                     if flows and has_rest:
                         settle_rest(counts, claims)
                         has_rest = False
-                    table.give_surplus(second, takers, rivals, span)
+                    table.give_surplus(second, takers, unseen)
                     number = table.give(second, takers, reserve=bool(flows))
                     if flows and number:
                         key = table.instance, table.kind, flows
@@ -492,37 +496,31 @@ class _Table:
             own = self._within[second] = [self.asking[place] for place in places.tolist()]
         return own
 
-    def sharers(
-        self, second: int, takers: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
-    ) -> frozenset[Hashable]:
+    def sharers(self, second: int, takers: Sequence[int], unseen: Sequence[Rival]) -> frozenset[Hashable]:
         """Return the traffic that shares the counts of a second; empty if they are one's own or are enough.
 
         Args:
             takers: indices of the claims that may get them.
-            rivals: traffic that the capture does not show.
-            span: begin and end of the second, ns.
+            unseen: traffic that the capture does not show, and that may have caused them.
         """
-        unseen = {rival.flow for rival in self._unseen(second, rivals, span)}
-        flows = frozenset(self._claims[at].flow for at in takers) | unseen
+        flows = frozenset(self._claims[at].flow for at in takers) | {rival.flow for rival in unseen}
         is_all = not unseen and int(self.left[second]) >= sum(self._claims[at].open for at in takers)
         return frozenset() if is_all or len(flows) == 1 else flows
 
-    def _unseen(self, second: int, rivals: Sequence[Rival], span: Sequence[int]) -> list[Rival]:
+    def unseen(self, second: int, rivals: Sequence[Rival], span: Sequence[int]) -> list[Rival]:
+        """Return who else may have caused the counts of a second, which is between the times of ``span``."""
         own = [rival for rival in rivals if (rival.instance, rival.kind) == (self.instance, self.kind)]
         more = (claim for claim in map(self._claims.__getitem__, self.within(second)) if claim.perhaps_missed)
         at = self.instance, self.kind, span[0], span[1]
         own += [Rival(item.flow, *at, item.perhaps_missed) for item in more]
         return [rival for rival in own if rival.start_ns <= span[1] and span[0] <= rival.end_ns]
 
-    def give_surplus(
-        self, second: int, takers: Sequence[int], rivals: Sequence[Rival], span: Sequence[int]
-    ) -> None:
+    def give_surplus(self, second: int, takers: Sequence[int], unseen: Sequence[Rival]) -> None:
         """Assign each traffic the counts of a second that all others together cannot have caused."""
-        unseen = sum(rival.most for rival in self._unseen(second, rivals, span))
         open_ = Counter[Hashable]()
         for at in takers:
             open_[self._claims[at].flow] += self._claims[at].open
-        beyond = int(self.left[second]) - open_.total() - unseen
+        beyond = int(self.left[second]) - open_.total() - sum(rival.most for rival in unseen)
         for flow, own in open_.items():
             if (most := min(own, beyond + own)) > 0:
                 self.give(second, [at for at in takers if self._claims[at].flow == flow], most=most)
@@ -647,20 +645,16 @@ def _ways_from(
 
 def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[int]:
     """Divide a number by weights into whole parts of at most ``most`` each; what does not fit is dropped."""
-    out, rest = [0] * len(weights), number
-    while rest > 0:
-        free = [at for at in range(len(out)) if out[at] < most[at] and weights[at] > 0]
-        if not free:
-            break
-        total = sum(weights[at] for at in free)
-        exact = [rest * weights[at] / total for at in free]
-        parts = [min(int(value), most[at] - out[at]) for value, at in zip(exact, free, strict=True)]
-        if not any(parts):  # the remainder: one each, to the largest first
-            parts = (np.argsort(np.argsort(-np.array(exact), kind="stable")) < rest).astype(int).tolist()
-        for at, part in zip(free, parts, strict=True):
-            out[at] += part
-        rest = number - sum(out)
-    return out
+    weight, limit = np.array(weights), np.array(most)
+    out, rest = np.zeros(len(most), np.int64), number
+    while rest > 0 and len(free := np.flatnonzero((out < limit) & (weight > 0))):
+        exact = rest * weight[free] / weight[free].sum()
+        parts = np.minimum(exact.astype(np.int64), limit[free] - out[free])
+        if not parts.any():  # the remainder: one each, to the largest first
+            parts = np.argsort(np.argsort(-exact, kind="stable")) < rest
+        out[free] += parts
+        rest = number - int(out.sum())
+    return [int(part) for part in out]
 
 
 def claimed_alike(

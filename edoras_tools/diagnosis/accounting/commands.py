@@ -130,9 +130,7 @@ class Commands:
         for claim in every:
             open_[claim.flow] += claim.open
         claims.settle_first(counts, every, most_missed(case, open_))
-        self._tails = {
-            item.flow: sum(item.assigned.values()) for item in every if item.rank == claims.Rank.POSSIBLE
-        }
+        self._tails = {item.flow: item.explained for item in every if item.rank == claims.Rank.POSSIBLE}
         # The counts become losses. What is still missing may be lost where no counter is, or before CI.
         pipes.make_losses()
         stops.make_losses()

@@ -276,8 +276,7 @@ def _rounds(case: Case, hop: Hop) -> int:
 
 def _expected(case: Case, hop: Hop) -> Integers:
     """Return the latest time at which each message should come out, behind CI's queue: i64, ns."""
-    profile, rows, waits_ns = case.profile, case.rows, _rounds(case, hop)
-    every = np.sort(rows.time_ns[rows.destination == hop.into.receiver])
+    profile, every, waits_ns = case.profile, case.arriving(hop.into.receiver), _rounds(case, hop)
     own = np.searchsorted(every, hop.into.time_ns, "right") - 1
     step = profile.ci_wake_ns / profile.ci_datagrams_per_wake if hop.into.link.only_to_cfs else 0
     place, arrived, first = np.arange(len(every)) * step, every - every[0], hop.in_rows.argmin()

@@ -197,7 +197,7 @@ class Pipes:
         for claim in self.claims:
             own, at = self.whose[claim.key], 0
             if own.standing == _INTO_STOP:  # the stop is their cause: ``closed.Stops`` makes that loss
-                own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += sum(claim.assigned.values())
+                own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += claim.explained
                 continue
             cut = own.fate.stream.spans[own.span]
             for (instance, kind), number in claim.by_kind().items():
@@ -291,9 +291,8 @@ def _fills(case: Case, fate: Fate, instance: int, times: Integers, round_ns: int
     times = times[fate.open & (times > track.times[0]) & (times < track.times[-1])]
     if _over(times, round_ns, limit) <= 2 * sum(track.growth(name) for name in COUNTERS.values()):
         return True
-    link, receiver = fate.stream.link, fate.stream.receiver
-    came_ns = case.rows.time_ns[(case.rows.link == link) & (case.rows.destination == receiver)]
-    # Then some are not at the pipe yet.
+    # Where more came at once than CI reads, some are not at the pipe yet.
+    came_ns = case.arriving(fate.stream.receiver)
     return more_at_once(came_ns, profile.ci_wake_ns, profile.ci_datagrams_per_wake)
 
 
@@ -543,7 +542,7 @@ class Leftover:
         """Assign one count to every loss event, and make losses of those whose traffic is not captured."""
         for item, report, kind in self._absent():
             for claim in self._settled(item, report, kind):
-                if number := sum(claim.assigned.values()):
+                if number := claim.explained:
                     times = claim.low_ns, claim.high_ns
                     self._make_loss(
                         self._from_events(item, report), range(0), (item.instance, kind), number, times

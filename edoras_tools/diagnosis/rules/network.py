@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays import Mask, Places, by_key, by_value, groups, numbered
+from edoras_tools.wire.arrays import Mask, Places, by_key, by_value, distinct, groups, numbered
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -504,21 +505,26 @@ _UNKNOWN_PEER: Final = (facts.UNKNOWN_PEER, facts.UNKNOWN_PROCESSOR)
 _CRASH: Final = ". Its TCP module crashes cFS when a connection closes whose peer it does not know"
 
 
-def unknown_peer(case: Case) -> Iterator[Verdict]:
-    """SBN datagrams of a spacecraft and processor that the receiver's table does not name.
+@lru_cache(maxsize=256)  # cFS says the same of each datagram
+def _unknown(message: str) -> list[int]:
+    """Return the spacecraft, where it is named, and the processor that SBN's event refuses; else nothing."""
+    matches = (event.pattern.search(message) for event in _UNKNOWN_PEER)
+    return next(([*map(int, match.groups())] for match in matches if match), [])
 
-    Name every such sender: by cFS's own words, or by an endpoint that has another name.
-    """
+
+def _foreign(case: Case) -> Mask:
+    """Return which SBN datagrams are of a peer that an event of the receiver refuses, or of two names."""
     rows = case.rows
     listed = np.isin(rows.sbn_msg_type, (sbn.MsgType.SUB, sbn.MsgType.UNSUB))
     foreign = (rows.link == SBN) & rows.has(Finding.SBN_ID_MISMATCH) & ~listed
     network = np.flatnonzero((rows.link == SBN) & (rows.sbn_msg_type >= 0) & ~rows.has(Finding.TRUNCATED))
     times, names, party = rows.time_ns[network], case.network.identity_of.items(), case.network.party
     partners = {peer for (peer, _), own in case.network.connections.items() if len(own.sent_ns)}
+    owner = case.instances.of_row
+    ends_of = {at: distinct(rows.source[network[own]]) for at, own in by_value(owner[network])}
     for record in case.events_between(case.start_ns, case.end_ns, facts.NAME):
-        matches = (event.pattern.search(record.message) for event in _UNKNOWN_PEER)
-        if match := next(filter(None, matches), None):
-            *craft, processor = map(int, match.groups())
+        if numbers := _unknown(record.message):
+            *craft, processor = numbers
             low, high = np.searchsorted(times, (record.time_ns - 2 * SECOND, record.time_ns), "right")
             near = network[low:high]
             same = rows.processor_id[near] == processor
@@ -528,10 +534,18 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             peers = [end for end, name in names if name.endswith(f":{processor}") and party(end) in partners]
             same &= bool(craft) | ~np.isin(rows.source[near], peers)
             # What it sends itself it does not refuse, also where a peer bears its own ids.
-            own = network[case.instances.of_row[network] == case.instances.of_row[record.row]]
-            same &= ~np.isin(rows.source[near], rows.source[own])
+            same &= ~np.isin(rows.source[near], ends_of.get(int(owner[record.row]), ()))
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True
+    return foreign
+
+
+def unknown_peer(case: Case) -> Iterator[Verdict]:
+    """SBN datagrams of a spacecraft and processor that the receiver's table does not name.
+
+    Name every such sender: by cFS's own words, or by an endpoint that has another name.
+    """
+    rows, foreign = case.rows, _foreign(case)
     came_out = np.concatenate([np.zeros(0, np.intp), *(hop.into.rows[hop.in_rows] for hop in case.hops)])
     msg_ids = [hop.into.msg_id for hop in case.hops]
     for who, members in groups(rows.sbn_sender(), np.flatnonzero(foreign)):
