@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.payloads import Payloads
-    from edoras_tools.diagnosis.evidence.relays import LostInRelay, Proxied, RouteWay
+    from edoras_tools.diagnosis.evidence.relays import LostInRelay, Proxied, RelayedWay, RouteWay
 
 _MOST_SET: Final = 16
 """A clock is set back only a few times; if times go back more often, the records are out of order."""
@@ -105,27 +105,16 @@ def prepare(
     rows, payloads, disordered = in_time_order(recorder)
     rows = _of_output(rows)
     flows, endpoints = recorder.conversations.judge(), recorder.endpoints
-    kind = _kinds(rows, flows, endpoints)
-    strange = kind == _PLACE[ConversationKind.STRANGER]
-    if strange.any() and not _has_strangers(rows, payloads, kind):
-        # CI did not count these datagrams, so they did not reach it, whatever their ports.
-        kind[strange] = _PLACE[ConversationKind.FOREIGN]
+    kind = _kinds(rows, payloads, flows, endpoints)
     foreign = kind == _PLACE[ConversationKind.FOREIGN]
     rest = _Left(rows, np.arange(len(rows)))
     count, source_of = len(rows), rows.source
     del rows  # so that memory never holds the table twice
     rest.keep(~foreign)
-    crowded, crowd = _crowd(rest.rows)
-    rest.keep(~crowded)
+    crowd = rest.leave_crowd()
     names = one_name(rest.rows, endpoints)
-    if (names != np.arange(len(names))).any():
-        ends = {name: names[getattr(rest.rows, name)] for name in ("source", "destination")}
-        rest.rows = followed(replace(rest.rows, **ends))
-    lost, standing = copies.find_damaged(rest.rows, number_hosts(endpoints), shared=shared)
-    damaged = rest.rows.take(standing)
-    if lost.any():
-        rest.keep(~lost)
-        rest.rows = followed(rest.rows)
+    rest.rename(names)
+    damaged = rest.leave_damaged(number_hosts(endpoints), shared=shared)
     unsteady_ns = unsteadiness(rest.rows)
     passed = find_relayed(rest.rows, endpoints, unsteady_ns)
     lost_there = tuple(loss for item in passed for loss in item.losses(rest.rows))
@@ -133,13 +122,7 @@ def prepare(
         # A damaged datagram behind a relay counts in front of it, as not sent on.
         ways = rest.rows.way(np.concatenate([item.behind for item in passed]))
         damaged = damaged.take(~np.isin(damaged.way(), ways))
-        source, behind = rest.rows.source.copy(), np.ones(len(rest.rows), bool)
-        for item in passed:
-            source[item.behind] = item.sources(rest.rows)
-            behind[item.before] = False
-        rest.rows = replace(rest.rows, source=source)
-        rest.keep(behind)
-        rest.rows = followed(rest.rows)
+        rest.leave_before(passed)
     relayed = before_proxy(rest.rows, proxied)
     rest.keep(~relayed)
     sources = names[source_of[payloads.ingest["row"]]]
@@ -196,15 +179,41 @@ class _Left(msgspec.Struct):
             self.rows, self.places = self.rows.take(self.places[:0]), self.places[own]
             self.rows = Rows(**{name: columns.pop(name)[own] for name in list(columns)})
 
+    def leave_crowd(self) -> Integers:
+        """Leave out senders beyond the busiest ones (rule 5); return the number of rows of each."""
+        rows = self.rows
+        crowded, own = np.zeros(len(rows), bool), np.flatnonzero(rows.on(lambda link: link.from_cfs))
+        first, which = numbered(rows.source[own], rows.spacecraft_id[own], rows.processor_id[own])
+        counts = np.bincount(which, minlength=len(first))
+        beyond = np.argsort(-counts, kind="stable")[_MOST_SENDERS:]
+        crowded[own] = np.isin(which, beyond)
+        self.keep(~crowded)
+        return counts[beyond]
 
-def _crowd(rows: Rows) -> tuple[Mask, Integers]:
-    """Return the rows of senders beyond the busiest ones (rule 5), and the number of rows of each sender."""
-    crowded, own = np.zeros(len(rows), bool), np.flatnonzero(rows.on(lambda link: link.from_cfs))
-    first, which = numbered(rows.source[own], rows.spacecraft_id[own], rows.processor_id[own])
-    counts = np.bincount(which, minlength=len(first))
-    beyond = np.argsort(-counts, kind="stable")[_MOST_SENDERS:]
-    crowded[own] = np.isin(which, beyond)
-    return crowded, counts[beyond]
+    def rename(self, names: NDArray[np.int32]) -> None:
+        """Give each endpoint one name (rule 3): ``names`` has that of each."""
+        if (names != np.arange(len(names))).any():
+            ends = {end: names[getattr(self.rows, end)] for end in ("source", "destination")}
+            self.rows = followed(replace(self.rows, **ends))
+
+    def leave_damaged(self, hosts: NDArray[np.int32], *, shared: bool) -> Rows:
+        """Leave out damaged datagrams (rule 4); return one row of each."""
+        lost, standing = copies.find_damaged(self.rows, hosts, shared=shared)
+        damaged = self.rows.take(standing)
+        if lost.any():
+            self.keep(~lost)
+            self.rows = followed(self.rows)
+        return damaged
+
+    def leave_before(self, relays: Sequence[RelayedWay]) -> None:
+        """Leave out what was captured in front of relays (rule 3); what is behind them has that sender."""
+        source, behind = self.rows.source.copy(), np.ones(len(self.rows), bool)
+        for item in relays:
+            source[item.behind] = item.sources(self.rows)
+            behind[item.before] = False
+        self.rows = replace(self.rows, source=source)
+        self.keep(behind)
+        self.rows = followed(self.rows)
 
 
 def _find_astray(rows: Rows, astray: Sequence[tuple[int, int, bool]]) -> tuple[Mask, Mask]:
@@ -267,14 +276,20 @@ def _of_output(rows: Rows) -> Rows:
     return replace(rows, link=link) if own.any() else rows
 
 
-def _kinds(rows: Rows, flows: Sequence[Flow], endpoints: Sequence[Endpoint]) -> NDArray[np.int8]:
-    """Return the kind of each row's conversation, i8 (rows,): its index in ``ConversationKind``."""
+def _kinds(
+    rows: Rows, payloads: Payloads, flows: Sequence[Flow], endpoints: Sequence[Endpoint]
+) -> NDArray[np.int8]:
+    """Return the kind of each row's conversation, i8 (rows,): its index in ``ConversationKind`` (rule 2)."""
     out = np.full(len(rows), _PLACE[ConversationKind.CFS], np.int8)
     number = {endpoint: index for index, endpoint in enumerate(endpoints)}
     for flow in flows:
         if flow.kind in LEFT_OUT and flow.source in number and flow.destination in number:
             own = (rows.source == number[flow.source]) & (rows.destination == number[flow.destination])
             out[own] = _PLACE[flow.kind]
+    strange = out == _PLACE[ConversationKind.STRANGER]
+    if strange.any() and not _has_strangers(rows, payloads, out):
+        # CI did not count these datagrams, so they did not reach it, whatever their ports.
+        out[strange] = _PLACE[ConversationKind.FOREIGN]
     return out
 
 
