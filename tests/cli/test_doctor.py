@@ -36,6 +36,20 @@ def test_json_holds_to_its_schema_and_loss_to_its_exit_code(name, configured, ca
     assert bool(done.json()["lost"]) == (code == 3)
 
 
+@pytest.mark.quick("fragments_lost_upward")
+@pytest.mark.parametrize("name", ["fragments_lost_upward", "hops_in_turn", "bursts", "copies_on_any"])
+def test_the_recording_of_a_capture_gives_the_same_answer(name, call, tmp_path):
+    capture, recording = ROOT / f"tests/captures/flights/{name}.pcap.zst", tmp_path / "x.mcap"
+    assert call("record", "-q", "-r", capture, "-o", recording).code == 0
+    answers = [call("doctor", "--json", "-r", path).json() for path in (capture, recording)]
+    for answer in answers:
+        # The order of rows is that of the streams, which that of the frames decides.
+        answer["balance"], answer["ways"] = (sorted(map(str, answer[part])) for part in ("balance", "ways"))
+    names = ("lost", "unaccounted", "uncertain", "messages_lost", "balance", "ways")
+    assert [answers[0][name] for name in names] == [answers[1][name] for name in names]
+    assert len(answers[0]["warnings"]) == len(answers[1]["warnings"])
+
+
 def test_commands_alone_are_no_evidence_of_their_arrival(call, captures, missions, tmp_path):
     commands = tmp_path / "commands.pcap"
     write(commands, [item for item in datagrams(captures("a_rover")) if item.destination[1] == 1234])

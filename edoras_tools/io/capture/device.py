@@ -263,7 +263,7 @@ class DeviceSource(FrameSource):
         queue_bytes: int = 128 << 20,
     ) -> None:
         super().__init__(SourceStatistics(outages=device.outages))
-        self.info = device.info
+        self._info = device.info
         self.started = threading.Event()
         self.gather_s = _GATHER_S
         self._handed = -math.inf  # not 0: a monotonic clock may begin there
@@ -289,7 +289,7 @@ class DeviceSource(FrameSource):
         self._thread = threading.Thread(target=self._run, name=f"capture {self.info.name}", daemon=True)
         self._thread.start()
 
-    def batches(self) -> Iterator[PacketBatch]:
+    def _batches(self) -> Iterator[PacketBatch]:
         """Yield what arrived since the last batch, until ``stop`` or until the device fails.
 
         Raises:

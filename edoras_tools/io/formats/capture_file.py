@@ -22,7 +22,7 @@ from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io import Sink
 from edoras_tools.io.frames.linklayer import FrameSource
 from edoras_tools.io.outputs import OutputFile, output_name, part_path
-from edoras_tools.model import Columns, PacketBatch, SourceInfo, SourceStatistics
+from edoras_tools.model import Columns, PacketBatch, SourceStatistics
 from edoras_tools.wire.arrays import PADDING
 
 if TYPE_CHECKING:
@@ -572,7 +572,6 @@ class RecordSource(FrameSource):
 
     unit = "record"
     """The format's name for its records."""
-    _info: SourceInfo
 
     def __init__(self, window: Window) -> None:
         super().__init__(SourceStatistics(total_bytes=window.stream.total_bytes))
@@ -582,11 +581,6 @@ class RecordSource(FrameSource):
         self._latest_ns: int | None = None
         self._at = 0
         """Position in the window of the first byte that is not yet in a frame."""
-
-    @property
-    def info(self) -> SourceInfo:
-        """Information on the part of the source that has been read."""
-        return self._info
 
     @abstractmethod
     def _frames(self) -> Iterator[FrameBatch]:
@@ -603,7 +597,7 @@ class RecordSource(FrameSource):
     def batches(self) -> Iterator[PacketBatch]:
         """Yield all datagrams; see ``Source.batches``."""
         try:
-            yield from self._batches()
+            yield from super().batches()
         finally:
             self._warn()
             self.close()
@@ -684,11 +678,6 @@ class RecordSource(FrameSource):
         for link_type in sorted(self._demux.unknown_link_types):
             self.statistics.warnings.append(
                 f"{name}: frames of link type {link_type} are not supported; skipped"
-            )
-        self.statistics.cut[:] = self._demux.beginnings()
-        if self._demux.incomplete:
-            self.statistics.warnings.append(
-                f"{name}: {self._demux.incomplete} fragmented datagrams lack fragments in the capture"
             )
 
     def _error(self, at: int, problem: str) -> CaptureError:

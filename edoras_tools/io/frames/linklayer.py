@@ -19,6 +19,7 @@ All other frames, and those whose IP header is incomplete or damaged, are skippe
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from functools import cached_property
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any
@@ -63,7 +64,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.io.frames.tcp import StreamReassembler
     from edoras_tools.links.doors import Framing
-    from edoras_tools.model import SourceStatistics
+    from edoras_tools.model import SourceInfo, SourceStatistics
     from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 _PROTOCOL_FIELD = {1: (14, 12), 113: (16, 14), 276: (20, 0)}
@@ -382,13 +383,35 @@ class FrameSource(SourceDefaults):
         statistics: counts of what was read.
     """
 
+    _info: SourceInfo
+
     def __init__(self, statistics: SourceStatistics) -> None:
         self.statistics = statistics
         self._demux = Demux()
 
+    @property
+    def info(self) -> SourceInfo:
+        """Information on the part of the source that has been read."""
+        return self._info
+
     def follow(self, framings: Mapping[int, Framing]) -> None:
         """Read the TCP streams of these ports, and no others; call it before the first batch."""
         self._demux.framings = framings
+
+    def batches(self) -> Iterator[PacketBatch]:
+        """Yield all datagrams, then tell which lack fragments; see ``Source.batches``."""
+        try:
+            yield from self._batches()
+        finally:
+            # Those that were passed over may have the other fragments.
+            if (number := self._demux.incomplete) and not self.statistics.passed_over:
+                self.statistics.cut[:] = self._demux.beginnings()
+                lacking = f"{self.info.name}: {number} fragmented datagrams lack fragments in the capture"
+                self.statistics.warnings.append(lacking)
+
+    @abstractmethod
+    def _batches(self) -> Iterator[PacketBatch]:
+        """Yield all datagrams."""
 
     def _demuxed(self, frames: FrameBatch) -> PacketBatch:
         """Return the datagrams of some frames."""

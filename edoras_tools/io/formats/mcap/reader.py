@@ -122,7 +122,7 @@ class McapSource(FrameSource):
             self._check(whole=self._read_front())
         values = {key: item for kind in METADATA_NAMES for key, item in self._metadata.get(kind, {}).items()}
         self._flows = _flows(values.get("flows", ""))
-        self.info = model.SourceInfo(
+        self._info = model.SourceInfo(
             name=self._name,
             kind="mcap",
             time_resolution_ns=_positive(values, "time_resolution_ns", 1),
@@ -135,7 +135,7 @@ class McapSource(FrameSource):
             sound=values.get("sound") == "true",
         )
 
-    def batches(self) -> Iterator[model.PacketBatch]:
+    def _batches(self) -> Iterator[model.PacketBatch]:
         """Yield the datagrams, chunk by chunk.
 
         Raises:
