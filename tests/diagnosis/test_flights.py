@@ -1765,3 +1765,16 @@ def test_fragments_of_other_programs_are_no_commands(tmp_path, port):
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", sorted([*items, *others])))
     assert found.lost + found.unaccounted <= RANGES["fragments_lost_upward"]
     assert not wrong_rows(found.balance)
+
+
+def test_a_datagram_whose_fragments_are_in_two_files_was_not_lost(tmp_path):
+    items = mutations.frames(FOLDER / "fragments_lost_upward.pcap.zst")
+    heads = [at for at, item in enumerate(items) if item.data[20] & 0x20 and mutations.is_to(item.data, 1234)]
+    follows = (at for at in heads if items[at + 1].data[18:20] == items[at].data[18:20])
+    at = next(at for at in follows if at > len(items) // 2)
+    parts = items[: at + 1], items[at + 1 :]
+    paths = [mutations.write(tmp_path / f"{number}.pcap", part) for number, part in enumerate(parts)]
+    source, _ = open_aligned(paths, Settings([]))
+    found = examine(source, Settings([]).workbench(source.info)).diagnosis
+    proven, most = found.lost + found.unaccounted, RANGES["fragments_lost_upward"]
+    assert proven <= most <= proven + found.uncertain

@@ -22,7 +22,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from functools import cached_property
 from ipaddress import ip_address
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec.structs import replace
@@ -55,6 +55,7 @@ from edoras_tools.io.frames.network import (
 )
 from edoras_tools.links.table import framings
 from edoras_tools.model import CutDatagram, Datagram, Endpoint, Finding, PacketBatch, concatenate
+from edoras_tools.units import MILLISECOND
 from edoras_tools.wire.arrays import PADDING, read_at
 
 if TYPE_CHECKING:
@@ -376,6 +377,10 @@ class Demux:
         return replace(batch, data=np.concatenate(data))
 
 
+_SPREAD_NS: Final = 100 * MILLISECOND
+"""Longest time from the first to the last fragment of a datagram, but for unusual ones."""
+
+
 class FrameSource(SourceDefaults):
     """What sources of frames share: they find the datagrams in them, and count both.
 
@@ -388,6 +393,8 @@ class FrameSource(SourceDefaults):
     def __init__(self, statistics: SourceStatistics) -> None:
         self.statistics = statistics
         self._demux = Demux()
+        self._times_ns = 0, 0
+        """Times of the first and the last frame so far."""
 
     @property
     def info(self) -> SourceInfo:
@@ -405,9 +412,14 @@ class FrameSource(SourceDefaults):
         finally:
             # Those that were passed over may have the other fragments.
             if (number := self._demux.incomplete) and not self.statistics.passed_over:
-                self.statistics.cut[:] = self._demux.beginnings()
+                self.statistics.cut[:] = filter(self._is_inside, self._demux.beginnings())
                 lacking = f"{self.info.name}: {number} fragmented datagrams lack fragments in the capture"
                 self.statistics.warnings.append(lacking)
+
+    def _is_inside(self, cut: CutDatagram) -> bool:
+        """Return whether the other fragments of a datagram cannot be before or after the frames."""
+        first_ns, last_ns = self._times_ns
+        return cut.time_ns < last_ns - _SPREAD_NS and (bool(cut.head) or cut.time_ns > first_ns + _SPREAD_NS)
 
     @abstractmethod
     def _batches(self) -> Iterator[PacketBatch]:
@@ -416,6 +428,8 @@ class FrameSource(SourceDefaults):
     def _demuxed(self, frames: FrameBatch) -> PacketBatch:
         """Return the datagrams of some frames."""
         batch, statistics = self._demux.demux(frames), self.statistics
+        if len(frames):
+            self._times_ns = self._times_ns[0] or int(frames.time_ns[0]), int(frames.time_ns[-1])
         statistics.frames += len(frames)
         statistics.bytes += int(frames.length.sum())
         statistics.datagrams += len(batch)
