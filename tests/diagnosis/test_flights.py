@@ -150,6 +150,7 @@ FLIGHTS = {
     "crashed_twice": (105, {"stopped": 105}),
     "limit_of_two": (19, {"limit": 19}),
     "takes_180_ms_for_each": (28, {"limit": 28}),
+    "peer_of_an_older_sbn": (98, {"bad_network_message": 90, "away": 8}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -731,6 +732,13 @@ def test_a_stream_that_goes_on_from_another_port_of_its_peer_is_not_silent():
     found = examined("bridge_at_another_port")
     assert by_cause(found) == {"port_closed": 74, "sbn_peer_restart": 8}
     assert not [item for item in found.verdicts if item.rule == "topic_silent"]
+
+
+def test_what_sbn_itself_says_is_no_message_and_none_is_lost_twice():
+    """The older header makes 60 and 30 poses one of an unknown peer's, beside lists and answers."""
+    found = examined("peer_of_an_older_sbn")
+    assert {row.msg_id for row in found.balance if row.proven} == {0x1827, 0x1828, 0x1829, 0x182A}
+    assert "unknown_peer" not in {item.rule for item in found.verdicts}
 
 
 def test_a_peer_that_did_not_subscribe_when_a_capture_began_lost_no_more_than_it_was_sent(tmp_path):

@@ -43,9 +43,8 @@ def damaged(case: Case) -> Iterator[Verdict]:
         reason = f"{plural(number, 'datagram')} on {whose} came damaged: what has a wrong checksum is dropped"
         why = "their checksums are wrong, and those of most others of the same hosts are not"
         remedy = "look at the interfaces on the way: ethtool -S, nstat -az UdpInCsumErrors, tc -s qdisc"
-        place = link, hop
         span = min(item.times_ns[0] for item in own), max(item.times_ns[1] for item in own)
-        yield error(reason, why, msg_id=msg_id, place=place, lost=number, span=span, remedy=remedy)
+        yield error(reason, why, msg_id=msg_id, place=(link, hop), lost=number, span=span, remedy=remedy)
 
 
 def sbn_timeout(case: Case) -> Iterator[Verdict]:
@@ -145,12 +144,11 @@ def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
         for last_ns, dead_ns, back_ns, (last, first), read_ns in connection.restarts:
             sent = connection.sent_ns[(connection.sent_ns > read_ns) & (connection.sent_ns < back_ns)]
             lost = int((sent > dead_ns).sum())
-            reached = "reached" if lost else "may have reached"
             yield verdict(
                 Severity.ERROR if lost else Severity.WARNING,
                 f"SBN peer {connection.peer} was started again: nothing came from it from {case.at(last_ns)} "
                 f"to {case.at(back_ns)}, then it subscribed anew. {connection.observer} did not notice, and "
-                f"{plural(lost or len(sent), 'message')} that it sent {reached} nobody",
+                f"{plural(lost or len(sent), 'message')} sent to it {'may have ' * (not lost)}reached nobody",
                 f"packet {case.rows.number[last]} is its last, packet {case.rows.number[first]} its SUB",
                 f"{len(sent) - lost:,} more may have been heard, until {case.at(dead_ns)}"
                 * (lost < len(sent)),
@@ -287,8 +285,7 @@ def _by_cfs(case: Case) -> Iterator[Verdict]:
         sender, target = (network.party(int(end[row])) for end in (rows.source, rows.destination))
         if sender not in observers or (target in observers and (sender, target) in network.connections):
             continue
-        who, peer = sender[0], target[0]
-        when = int(rows.time_ns[row])
+        who, peer, when = sender[0], target[0], int(rows.time_ns[row])
         sent = (rows.source == rows.source[row]) & (rows.time_ns > when + SECOND)
         back_ns = rows.time_ns[sent & (rows.sbn_msg_type == sbn.MsgType.APP)]
         stops = [
@@ -339,6 +336,10 @@ _ANSWERED_NS: Final = 2 * SECOND
 _RESTARTS: Final = "; its receive task ended and started anew"
 
 
+_OWN_TYPES: Final = frozenset(sbn.MsgType) - {sbn.MsgType.APP}
+"""Types of what SBN itself says, which is nobody's message."""
+
+
 class BadMessage(NamedTuple):
     """A way in which an SBN datagram can be wrong.
 
@@ -363,8 +364,8 @@ _TOO_LARGE: Final = BadMessage("MsgSz above 32,767, so negative", "refused", (fa
 _WRONG_SIZE: Final = BadMessage("MsgSz is not the size of what follows", "ignored silently")
 _UNKNOWN_TYPE: Final = BadMessage("MsgType that SBN does not know", "refused", (facts.UNKNOWN_TYPE,))
 _LEGACY_HEADER: Final = BadMessage(
-    "7-byte header of older sources",
-    "the next 4 bytes are taken for a SpacecraftID: an unknown peer",
+    "the 7-byte header of older SBN sources",
+    "cFS takes the next 4 bytes for a SpacecraftID, so for an unknown peer, and refuses them",
     (facts.UNKNOWN_PEER,),
 )
 
@@ -413,7 +414,7 @@ def _malformed(case: Case, members: list[int], kind: BadMessage) -> Verdict:
         *lines,
         **subject(case, members),
         hop="SBN",
-        lost=len(members) if kind.events else None,
+        lost=sum(rows.sbn_msg_type[row] not in _OWN_TYPES for row in members) if kind.events else None,
         of=len(members),
         remedy="write 11 bytes of header: MsgSz of the payload alone, a known MsgType, both IDs",
         confidence="high" if lines or not kind.events else "medium",
@@ -446,9 +447,8 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
 
     Name every other $Id, once a sender.
     """
-    rows = case.rows
+    rows, listed, contents = case.rows, case.payloads.subscriptions, case.payloads.contents
     by_ident: dict[tuple[int, str], list[int]] = {}
-    listed, contents = case.payloads.subscriptions, case.payloads.contents
     other = np.array([item.ident != sbn.IDENT for item in contents], bool)[listed["said"]]
     for row, index in zip(listed["row"][other].tolist(), listed["said"][other].tolist(), strict=True):
         by_ident.setdefault((int(rows.source[row]), contents[index].ident), []).append(row)
@@ -474,8 +474,6 @@ def _refused(
         packet(case, int(members[0])) + detail,
         *lines,
         place=("sbn", "SBN"),
-        lost=len(members),
-        of=len(members),
         span=case.span(members),
         remedy=remedy,
         confidence="high" if lines else "medium",
@@ -537,7 +535,7 @@ def _foreign(case: Case) -> Mask:
             same &= ~np.isin(rows.source[near], ends_of.get(int(owner[record.row]), ()))
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True
-    return foreign
+    return foreign & ~rows.has(Finding.SBN_LEGACY_HEADER)
 
 
 def unknown_peer(case: Case) -> Iterator[Verdict]:
@@ -568,7 +566,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             f", the first of {len(members):,} datagrams" * (len(members) > 1),
         )
         if not lines and 2 * (came | ~followed).sum() > len(messages):  # what is not followed may come out
-            refused = replace(refused, severity=Severity.WARNING, lost=None, of=None)
+            refused = replace(refused, severity=Severity.WARNING)
         elif len(messages):  # subscriptions are no messages
             refused = replace(refused, lost=len(messages), of=len(messages))
         carried = np.unique(rows.msg_id[members]).tolist()
@@ -595,12 +593,11 @@ def subscription_storm(case: Case) -> Iterator[Verdict]:
         often = [when for when in own if len(when) >= _LEAST and float(np.median(np.diff(when))) < _OFTEN_NS]
         if not often:
             continue
-        total = sum(map(len, often))
         period = float(np.median(np.concatenate([np.diff(when) for when in often])))
         yield habit(
             f"{case.network.identity_of.get(source, 'a peer')} sends its "
-            f"{plural(len(often), 'subscription')} again every {period / 1e6:.0f} ms, {total:,} in all: the "
-            "public flight bridge does; cFS ignores repeats",
+            f"{plural(len(often), 'subscription')} again every {period / 1e6:.0f} ms, "
+            f"{sum(map(len, often)):,} in all: the public flight bridge does; cFS ignores repeats",
             f"from {case.endpoints[source]}",
             place=("sbn", "flight bridge"),
             span=(int(min(when[0] for when in often)), int(max(when[-1] for when in often))),
