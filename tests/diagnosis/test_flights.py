@@ -151,6 +151,7 @@ FLIGHTS = {
     "limit_of_two": (19, {"limit": 19}),
     "takes_180_ms_for_each": (28, {"limit": 28}),
     "peer_of_an_older_sbn": (98, {"bad_network_message": 90, "away": 8}),
+    "lists_of_another_build": (52, {"unsubscribed": 24, "sbn_timeout": 22, "away": 6}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {

@@ -345,7 +345,10 @@ def _subscriptions(
     every = np.flatnonzero(rows.sbn_msg_type >= 0)
     every = every[_between(rows, network, every, *ends[::-1])]
     sent, said_ns = every[rows.sbn_msg_type[every] == MsgType.APP], rows.time_ns[every]
-    own = _between(rows, network, listed["row"], *ends)
+    own, theirs = (_between(rows, network, listed["row"], *pair) for pair in (ends, ends[::-1]))
+    idents = {payloads.contents[index].ident for index in listed["said"][theirs].tolist()}
+    # The observer refuses a list with another $Id than its own.
+    own &= np.array([not idents or item.ident in idents for item in payloads.contents], bool)[listed["said"]]
     at, contents = listed["row"][own], listed["said"][own]
     # A message that does not connect its peer was not heard.
     near_ns = np.add.outer((0, _WAKE_NS), rows.time_ns[at])
