@@ -152,6 +152,7 @@ FLIGHTS = {
     "takes_180_ms_for_each": (28, {"limit": 28}),
     "peer_of_an_older_sbn": (98, {"bad_network_message": 90, "away": 8}),
     "lists_of_another_build": (52, {"unsubscribed": 24, "sbn_timeout": 22, "away": 6}),
+    "unsubscribed_in_overload": (244, {"limit": 236, "unsubscribed": 8}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -194,6 +195,7 @@ RANGES = {
     "radio_doubles_commands": 63,
     "fragments_lost_upward": 60,
     "copies_on_any": 113,
+    "restarted_in_a_flood_of_poses": 540,
 }
 
 
@@ -740,6 +742,18 @@ def test_what_sbn_itself_says_is_no_message_and_none_is_lost_twice():
     found = examined("peer_of_an_older_sbn")
     assert {row.msg_id for row in found.balance if row.proven} == {0x1827, 0x1828, 0x1829, 0x182A}
     assert "unknown_peer" not in {item.rule for item in found.verdicts}
+
+
+def test_counts_while_the_application_restarts_are_of_what_was_sent_to_it():
+    rows, lost = examined("restarted_in_a_flood_of_poses").balance, Counter[int | None]()
+    for row in rows:
+        lost[row.msg_id] += row.proven
+    assert +lost == {0x1829: 215, 0x828: 323}
+
+
+def test_counts_around_an_unsub_are_of_the_topic_that_was_over_its_limit():
+    rows = examined("unsubscribed_in_overload").balance
+    assert {row.msg_id: row.lost["limit"] for row in rows if row.lost.get("limit")} == {0x8E0: 236}
 
 
 def test_a_peer_that_did_not_subscribe_when_a_capture_began_lost_no_more_than_it_was_sent(tmp_path):

@@ -350,7 +350,9 @@ class Telemetry:
         """
         if not part.silenced and not part.unexplained:
             part.cause = self._cause(part)
-        if part.owner in self._counts and part.stream.link.only_from_cfs:
+        # What went into cFS and did not come out to a peer is told there.
+        alone = part.cause is None and all(hop.out is not part.stream for hop in self._case.hops)
+        if part.owner in self._counts and (part.stream.link.only_from_cfs or alone):
             rank, kinds = Rank.OWN_PACKETS if part.cause is None else Rank.CLOSED, tuple(COUNTERS)
             span, number = (int(gap.low_ns[0]), int(gap.high_ns[0])), self._countable(part, gaps)
             of = len(self.parts), *span, number, kinds, (part.owner,), rank, part.stream
@@ -404,7 +406,7 @@ class Telemetry:
             if rest := part.missing - at_pipe.total():
                 self._lose(part, kind_, rest, part.missing, "high").hop = hop
             return
-        idle = "Telemetry Output was not sending then: it would not have sent them either"
+        idle = "its way out was closed then: it would not have come out in any case"
         for kind, number in part.assigned.items():
             part.evidence = [texts[kind], idle]
             self._lose(part, kind, number, part.missing, "medium")

@@ -275,11 +275,9 @@ def settle_known(
     Returns:
         The counts that several kinds of traffic share.
     """
-    missing = {Rank.NOT_TAKEN, Rank.PRESSED, Rank.ABSENT, Rank.CLOSED}
-    with_own = missing | {Rank.OWN_PACKETS}
-    quiet, into_stop = with_own | {Rank.QUIET}, {Rank.INTO_STOP}
-    for ranks, slack_ns in ((missing, _APART_NS), (with_own, 0), (quiet, 0), (into_stop, 0)):
-        sure = [claim for claim in claims if claim.rank in ranks]
+    last = (Rank.CLOSED, _APART_NS), (Rank.OWN_PACKETS, 0), (Rank.QUIET, 0), (Rank.INTO_STOP, 0)
+    for rank, slack_ns in last:
+        sure = [claim for claim in claims if claim.rank <= rank]
         settle(counts, sure)
         settle(counts, sure, slack_ns)
     return settle_possible(counts, claims, rivals)
