@@ -143,6 +143,9 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
         lower = commanded is not None and commanded < rounds.most  # for a part of the time
         if near and not lower and rounds.share >= _FULL and full_where_lacking(*lacking):
             return replace(queue, round_ns=rounds.period_ns), rounds.most, True
+        # Rounds that are far larger refute an assumed limit.
+        if commanded is None and rounds.share >= _FULL and rounds.most > 2 * queue.limit(loss.msg_id):
+            return queue, rounds.most, True
     system = case.instances.system(loss.instance)
     if commanded is None and output and case.timeline.entry(loss.msg_id, system):
         queue = queues.telemetry_pipe(case.assumed)  # what was learned may hold for another time

@@ -78,7 +78,7 @@ _NO_INGEST: Final = f"{NOT_COUNTED}no 0x884 of this CI, no kernel counter of its
 _NO_BUS: Final = f"{NOT_COUNTED}no 0x803 of its cFS"
 _BY_BUS: Final[Mapping[str, str]] = {"in": "0x803: it counts only what is lost", "lost": "0x803"}
 _BEFORE_CI: Final = frozenset({"network", "socket", "down", "restart", "ci_stopped", PORT_CLOSED})
-_NOT_READ: Final = frozenset({"down", "network", PORT_CLOSED})
+_NOT_READ: Final = frozenset({"down", "network", "sbn_socket", PORT_CLOSED})
 _ON_BUS: Final = frozenset({*COUNTERS, "unknown"})
 _BEHIND_BUS: Final = frozenset(
     {"stopped", "restart_failed", "away", "unsubscribed", "disabled", "route", "beside", DAMAGED}
@@ -113,6 +113,7 @@ CAUSES: Final[Mapping[str, LossCause]] = {
     ),
     "network": LossCause("on the network before CI", "lost before CI"),
     "socket": LossCause("at CI's full socket", "CI's socket was full"),
+    "sbn_socket": LossCause("in SBN's full socket", rules=("crossing_loss",)),
     "down": LossCause("while cFS was down", "cFS was down", ("cfs_restart",)),
     "restart": LossCause("while CI was restarted", "{hop} was restarted"),
     "ci_stopped": LossCause("while CI was stopped", "{hop} was stopped"),

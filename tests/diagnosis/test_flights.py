@@ -196,6 +196,7 @@ RANGES = {
     "fragments_lost_upward": 60,
     "copies_on_any": 113,
     "restarted_in_a_flood_of_poses": 540,
+    "bursts_of_poses_at_once": 1765,
 }
 
 
@@ -754,6 +755,14 @@ def test_counts_while_the_application_restarts_are_of_what_was_sent_to_it():
 def test_counts_around_an_unsub_are_of_the_topic_that_was_over_its_limit():
     rows = examined("unsubscribed_in_overload").balance
     assert {row.msg_id: row.lost["limit"] for row in rows if row.lost.get("limit")} == {0x8E0: 236}
+
+
+def test_bursts_fill_the_socket_of_sbn_and_refute_an_assumed_limit():
+    found = examined("bursts_of_poses_at_once")
+    text = first_screen(found)
+    assert by_cause(found)["sbn_socket"] == 628
+    assert "in SBN's full socket" in text
+    assert "TO keeps 40 of this MsgId and sends every 500 ms: 80 a second get through (measured)" in text
 
 
 def test_a_peer_that_did_not_subscribe_when_a_capture_began_lost_no_more_than_it_was_sent(tmp_path):

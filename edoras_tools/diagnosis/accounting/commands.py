@@ -42,7 +42,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     follow,
     may_give_way,
 )
-from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
+from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes, more_at_once
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_rounds
 from edoras_tools.diagnosis.quality import CONFIDENCE, overlapping
@@ -275,17 +275,20 @@ class Commands:
                 self._lose(fate, "down", rows, text)
 
     def _before_sbn(self, fate: Fate) -> None:
-        """Make losses of messages over SBN from another host that nothing in cFS explains.
+        """Make losses of messages over SBN that nothing in cFS explains: of bursts, or from another host.
 
         The application sends on what it gets, and the bus and the way out count what they lose: so they were
-        lost on the network.
+        lost in SBN's socket, which bursts fill, or on the network.
         """
         case, stream, number = self._case, fate.stream, fate.ends["unaccounted"] * fate.seen
         rows = np.flatnonzero(fate.open & ~fate.edge)
         counted = all(hop.out.counted and case.owner(hop.out) in case.loss_counts for hop in fate.hops)
-        if number and stream.link.peers and counted and case.is_far(stream.receiver) and fate.claim(rows):
+        came_ns = case.rows.time_ns[case.rows.destination == stream.receiver]
+        full = more_at_once(came_ns, case.profile.sbn_wake_ns, case.profile.socket_queue)
+        before = stream.link.peers and (full or case.is_far(stream.receiver))
+        if number and before and counted and fate.claim(rows):
             text = f"{int(fate.arrived.sum()):,} others came out, and 0x803 counts no loss of these"
-            loss = fate.loss("network", rows, [text], hop=SBN_SOCKET)
+            loss = fate.loss("sbn_socket" if full else "network", rows, [text], hop=SBN_SOCKET)
             loss.lost, loss.confidence, fate.ends["unaccounted"] = number, "medium", 0
             self.losses.append(loss)
 

@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.verdict import Confidence
     from edoras_tools.wire.arrays import Integers, Mask, Places
 
-IngestKind = Literal["network", "socket", "down", "restart", "ci_stopped", "port_closed"]
+IngestKind = Literal["network", "socket", "sbn_socket", "down", "restart", "ci_stopped", "port_closed"]
 AppKind = Literal["stopped", "restart_failed", "away", "unsubscribed", "disabled", "route", "beside"]
 LossKind = PipeKind | IngestKind | AppKind | Literal["after", "unknown", "fragments", "damaged"]
 """Causes of a loss.
 
 - At a pipe: ``limit`` of messages of one MsgId, ``overflow`` of the pipe.
-- At CI: ``network`` in front of it, its full ``socket``, cFS ``down``, ``restart`` of CI, ``ci_stopped``,
-  ``port_closed`` (no listener).
+- At CI: ``network`` in front of it, its full ``socket`` (``sbn_socket``: that of SBN), cFS ``down``,
+  ``restart`` of CI, ``ci_stopped``, ``port_closed`` (no listener).
 - Behind CI: application ``stopped``, ``restart_failed`` (it restarted and sent nothing more), SBN peer
   ``away`` or ``unsubscribed``, Telemetry Output ``disabled``, bus ``route`` disabled.
 - Else: ``after`` cFS, ``fragments`` (only the first ones came), ``damaged`` (wrong checksum), ``unknown``
