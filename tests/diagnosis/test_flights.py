@@ -738,6 +738,12 @@ def test_a_stream_that_goes_on_from_another_port_of_its_peer_is_not_silent():
     assert not [item for item in found.verdicts if item.rule == "topic_silent"]
 
 
+def test_where_a_peer_sends_from_another_port_than_its_closed_one_the_tables_are_to_agree():
+    remedy = "make sbn_conf_tbl and the port of 66:3 agree: it sends from 127.0.0.1:2246"
+    assert remedy in first_screen(examined("bridge_at_another_port"))
+    assert "sbn_conf_tbl" not in first_screen(examined("bridge_of_another_id"))
+
+
 def test_what_sbn_itself_says_is_no_message_and_none_is_lost_twice():
     """The older header makes 60 and 30 poses one of an unknown peer's, beside lists and answers."""
     found = examined("peer_of_an_older_sbn")

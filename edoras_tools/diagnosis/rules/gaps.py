@@ -529,8 +529,7 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         number, uncertain = (_within(case, span, since_ns, cause) for cause in (PORT_CLOSED, None))
         if not number and not uncertain:
             continue
-        errors = plural(span.errors, "ICMP error")
-        start, last = case.at(span.start_ns), case.at(span.last_ns)
+        start, last, errors = case.at(span.start_ns), case.at(span.last_ns), plural(span.errors, "ICMP error")
         unread = f"{plural(uncertain, 'more message')} may not have been read there" if uncertain else ""
         opens = "not open again in this capture"
         again = opens if span.end_ns == NEVER else f"open again at {case.at(span.end_ns)}"
@@ -539,17 +538,22 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         reason += f": {plural(number, 'message')} reached nobody" if number else ""
         if span.step_ns:
             reason += f"; its own datagrams, {SECOND / span.step_ns:.1f} a second, stopped too"
+        link = next((s.link.label for s in case.streams if case.endpoints[s.receiver] == span.port), None)
+        remedy = "start what listens there first (its log may say why it ended), or send to its port"
+        for at, who in case.network.identity_of.items() if link == SBN.label else ():
+            if case.endpoints[at].address == span.port.address and at not in case.rows.destination:
+                remedy = f"make sbn_conf_tbl and the port of {who} agree: it sends from {case.endpoints[at]}"
         yield verdict(
             Severity.ERROR if number else Severity.WARNING,
             reason,
             f"{errors} (port unreachable), the first at {start}, the last at {last}",
             *(again, unread),
-            link=next((s.link.label for s in case.streams if case.endpoints[s.receiver] == span.port), None),
+            link=link,
             hop=f"{UDP_PORT} {span.port}",
             lost=number or None,
             of=number + uncertain,
             span=(span.start_ns, span.last_ns),
-            remedy="start what listens there first (its log may say why it ended), or send to its port",
+            remedy=remedy,
         )
     for flow, number, more in case.unreached_flows:
         yield error(
