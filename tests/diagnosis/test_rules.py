@@ -983,6 +983,16 @@ def test_fires(rule, lab, tmp_path, msg_id):
         assert item.lost is None or item.of is None or 0 < item.lost <= item.of
 
 
+def test_of_alike_errors_the_most_frequent_is_quoted(lab):
+    sent, _ = lab.simulate(seconds=20)
+    text = "Subscribe Err:Max Msgs(256)In Use,MsgId {},pipe SBN_3_66_Pipe,app SBN"
+    names = ("0x9cf", "0x82a", "0x9d0", "0x82a")
+    events = [lab.event(9 + at, "CFE_SB", 8, text.format(name), 3) for at, name in enumerate(names)]
+    (said,) = [item for item in lab.examine(lab.merged(sent, *events)).verdicts if item.rule == "cfs_errors"]
+    assert said.reason.endswith(f"CFE_SB 8: {text.format('0x82a')}")
+    assert "CFE_PLATFORM_SB_MAX_MSG_IDS" in said.remedy
+
+
 @pytest.mark.each(2)
 @pytest.mark.quick("rover", "two-arms")
 @pytest.mark.parametrize("scenario", ["rover", "arm", "two-rovers", "two-arms"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -522,10 +523,11 @@ _GOES_ON: Final = 5
 """An error that is said so often is no single refusal."""
 _SHOWN: Final = 3
 _FAILED: Final = {
+    8: "subscribe to fewer MsgIds, or build cFE for more (CFE_PLATFORM_SB_MAX_MSG_IDS): these come to nobody",
     15: "publish shorter messages, or build cFE for longer ones (CFE_MISSION_SB_MAX_SB_MSG_SIZE)",
     16: "let fewer or shorter messages wait, or give the bus more memory (CFE_PLATFORM_SB_BUF_MEMORY_BYTES)",
 }
-"""Events of CFE_SB that say why a send failed before it came to a pipe, and what helps."""
+"""Events of CFE_SB that say why a subscription failed, or a send before it came to a pipe, and what helps."""
 
 
 def cfs_errors(case: Case) -> Iterator[Verdict]:
@@ -568,13 +570,13 @@ def _is_reported(case: Case, record: EventRecord) -> bool:
 
 def _error(case: Case, members: list[EventRecord]) -> Verdict:
     first, last = members[0], members[-1]
-    texts = list(dict.fromkeys(item.message for item in members))
+    quotes = [quote for quote, _ in Counter(map(str, members)).most_common(_SHOWN + 1)]
     grave = len(members) >= _GOES_ON or any(item.event_type >= EventType.CRITICAL for item in members)
     again = f" {len(members):,} times, the last at {case.at(last.time_ns)}" if len(members) > 1 else ""
     return verdict(
         Severity.ERROR if grave else Severity.WARNING,
-        f"cFS {first.sender} reports an error at {case.at(first.time_ns)}{again}: {first}",
-        *(f"event {first.app} {first.event_id}: {text}" for text in texts[1 : _SHOWN + 1]),
+        f"cFS {first.sender} reports an error at {case.at(first.time_ns)}{again}: {quotes[0]}",
+        *(f"event {quote}" for quote in quotes[1:]),
         *sent_before(case, first.time_ns),
         hop=first.app,
         span=(first.time_ns, last.time_ns),
