@@ -153,6 +153,7 @@ FLIGHTS = {
     "peer_of_an_older_sbn": (98, {"bad_network_message": 90, "away": 8}),
     "lists_of_another_build": (52, {"unsubscribed": 24, "sbn_timeout": 22, "away": 6}),
     "unsubscribed_in_overload": (244, {"limit": 236, "unsubscribed": 8}),
+    "sbn_back_at_once": (138, {"stopped": 61, "port_closed": 46, "limit": 29, "away": 2}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -761,6 +762,11 @@ def test_counts_while_the_application_restarts_are_of_what_was_sent_to_it():
 def test_counts_around_an_unsub_are_of_the_topic_that_was_over_its_limit():
     rows = examined("unsubscribed_in_overload").balance
     assert {row.msg_id: row.lost["limit"] for row in rows if row.lost.get("limit")} == {0x8E0: 236}
+
+
+def test_wake_ups_of_a_stopped_sbn_may_be_what_its_pipe_lost():
+    (row,) = [row for row in examined("sbn_back_at_once").balance if row.among]
+    assert 0x18FA in {msg_id for _, msg_id, _ in row.among}
 
 
 def test_bursts_fill_the_socket_of_sbn_and_refute_an_assumed_limit():

@@ -24,7 +24,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from edoras_tools.cfs import command_ingest, executive_services, queues, telemetry_output
+from edoras_tools.cfs import command_ingest, executive_services, queues, sbn, telemetry_output
 from edoras_tools.cfs.software_bus import STOPS_AFTER
 from edoras_tools.diagnosis.accounting.claims import (
     BEFORE,
@@ -75,16 +75,10 @@ TICKS: Final[Mapping[str, int]] = {
     **dict.fromkeys(executive_services.SCHEDULERS, executive_services.TICK_MSG_ID),
     **dict.fromkeys(command_ingest.NAMES, command_ingest.REQUEST_MSG_ID),
     **dict.fromkeys(telemetry_output.NAMES, telemetry_output.REQUEST_MSG_ID),
+    sbn.NAME: sbn.COMMAND_MSG_ID,
 }
 """Application of cFS to the MsgId of the message that wakes it once a second."""
-_RANKS: Final = (
-    Rank.ABSENT,
-    Rank.POSSIBLE + 1,
-    Rank.POSSIBLE + 3,
-    Rank.POSSIBLE + 2,
-    Rank.INTO_STOP,
-    Rank.POSSIBLE + 2,
-)
+_RANKS: Final = Rank.ABSENT, *(Rank.POSSIBLE + more for more in (1, 3, 2)), Rank.INTO_STOP, Rank.POSSIBLE + 2
 """Rank of the claims for each mask of ``_standing``, in its order."""
 _UNNAMED: Final[Mapping[int, int]] = {Rank.ABSENT: Rank.QUIET, Rank.INTO_STOP: Rank.INTO_STOP}
 """The rank instead, where no event names the MsgId and its stream is too slow to fill a pipe."""
@@ -590,14 +584,12 @@ class Leftover:
             most = ceil((end_ns - outage.start_ns) / SECOND) - self._case.profile.app_msg_limit
             own = [at for at in self._counts if self._case.instances.systems[at] == outage.system]
             out += [Rival(outage, at, "limit", outage.start_ns, end_ns, most) for at in own if most > 0]
-        # Messages after the last one of a stream leave no gap; a count then may be of other traffic.
-        ends_ns = np.sort([item.time_ns[-1] for item in self._case.streams if item.counted])
         for at in self._counts:
             for each, fate, _ in self._unseen(at, "limit"):
                 for place, span in enumerate(each.spans):
                     times = span.start_ns - LEAD_NS, span.end_ns + each.counted_ns
                     most = min(each.most(range(place, place + 1), *times), int(fate.open[span.rows].sum()))
-                    if most and np.ptp(np.searchsorted(ends_ns, (times[0] - DRAINS_NS, times[1]))):
+                    if most:
                         out.append(Rival(each.stream, at, "limit", *times, most))
         return [*out, *self._behind_full()]
 
