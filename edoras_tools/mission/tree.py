@@ -600,28 +600,23 @@ class Fields(msgspec.Struct, frozen=True):
 
     def flag(self, name: str) -> bool | None:
         """Return a boolean; None if it is absent or wrong."""
-        allowed = "true or false is needed"
-        scalar = self._scalar(name, allowed)
-        if scalar is None:
-            return None
-        if isinstance(scalar.value, bool):
-            return scalar.value
-        self.mistake(name, f"{scalar.described}; {allowed}")
-        return None
+        value = self._value(name, "true or false is needed", lambda item: isinstance(item, bool))
+        return None if value is None else bool(value)
 
     def rate(self, name: str) -> float | None:
         """Return a rate in Hz, an integer or a float above 0; None if it is absent or wrong."""
         if not self.has(name):
             return None
         allowed = "a rate in messages a second is needed, as 30 or 0.5"
+        value = self._value(name, allowed, lambda item: type(item) in {int, float} and 0 < item < math.inf)
+        return None if value is None else float(value)
+
+    def _value(self, name: str, allowed: str, fits: Callable[[Any], bool]) -> Any:
         scalar = self._scalar(name, allowed)
-        if scalar is None:
-            return None
-        value = scalar.value
-        if isinstance(value, bool | str) or not 0 < value < math.inf:
-            self.mistake(name, f"{scalar.described}; {allowed}")
-            return None
-        return float(value)
+        if scalar is None or fits(scalar.value):
+            return scalar and scalar.value
+        self.mistake(name, f"{scalar.described}; {allowed}")
+        return None
 
     def word(self, name: str, choices: Sequence[str]) -> str | None:
         """Return one of the given words; None if it is absent or wrong."""

@@ -153,19 +153,15 @@ class _Fields(Mapping[str, "NDArray[Any] | Ragged"]):
 
     def run(self, prefix: str, run: PrimitiveRun, cursor: bulk.Cursor) -> None:
         """Take a run that starts at the cursor's position."""
-        source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
-
-        def gather(leaf: Leaf) -> tuple[Integers, bulk.Position, NDArray[Any]]:
-            return rows, leaf.count or 1, _read(source, leaf, start, swap)
-
-        for leaf in run.leaves:
-            self._add(bulk.joined(prefix, leaf.name), partial(gather, leaf))
+        self.block(prefix, run, cursor, 1)
 
     def block(self, prefix: str, run: PrimitiveRun, cursor: bulk.Cursor, count: bulk.Position) -> None:
         """Take runs that follow each other from the cursor's position."""
         source, rows, swap, start = cursor.bytes, cursor.rows, cursor.swap, cursor.start
 
         def gather(leaf: Leaf) -> tuple[Integers, bulk.Position, NDArray[Any]]:
+            if isinstance(count, int) and count == 1:
+                return rows, leaf.count or 1, _read(source, leaf, start, swap)
             if isinstance(count, int) and leaf.count is None and leaf.size == run.size:
                 return rows, count, source.numbers(start, leaf.code, count, swap)
             each = np.broadcast_to(np.asarray(count), len(rows))

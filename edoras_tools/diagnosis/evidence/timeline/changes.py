@@ -277,11 +277,14 @@ def capture_changes(away: Sequence[tuple[int, int]]) -> Iterator[Change]:
 
 def _between(rows: Rows, network: Network, at: Integers, peer: SbnParty, observer: SbnParty) -> Mask:
     """Return which of the rows ``at`` one party sent to another: bool."""
-    ends = []
-    for party, column in ((peer, rows.source), (observer, rows.destination)):
-        places = [place for place in distinct(column[at]).tolist() if network.party(place) == party]
-        ends.append(np.isin(column[at], places))
-    return np.asarray(ends[0] & ends[1])
+    sources, destinations = (column[at].astype(np.int64) for column in (rows.source, rows.destination))
+    return _is_of(network, sources, peer) & _is_of(network, destinations, observer)
+
+
+def _is_of(network: Network, endpoints: Integers, party: SbnParty) -> Mask:
+    """Return which numbers of endpoints are of a party: bool."""
+    own = [place for place in distinct(endpoints).tolist() if network.party(place) == party]
+    return np.isin(endpoints, own)
 
 
 def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change]:
@@ -310,8 +313,7 @@ def _goodbyes(
         software: changes of each cFS and its applications, which show whether SBN was commanded to end.
     """
     subject, changes = StateOwner("app", sbn.NAME), network.connections[ends].changes
-    places = [place for place in distinct(rows.source).tolist() if network.party(place) == ends[1]]
-    speaks = np.isin(rows.source, places) & (rows.sbn_msg_type >= 0)
+    speaks = _is_of(network, rows.source.astype(np.int64), ends[1]) & (rows.sbn_msg_type >= 0)
     # It leaves one peer after the other.
     words = np.flatnonzero(speaks & (rows.sbn_msg_type != MsgType.DISCONNECT))
     said_ns, greets = rows.time_ns[words], np.isin(rows.sbn_msg_type[words], (MsgType.PROTO, MsgType.SUB))
