@@ -7,7 +7,8 @@ The evidence for them is one of these, in this order:
    has no identification (address translation). The second capture has a datagram from the first host later by
    the offset plus its delay, and one to the first host by the offset minus its delay. So the smallest step
    one way is an upper bound, and the largest step the other way is a lower bound. Equal datagrams are paired
-   in order, with the time difference that unique datagrams have.
+   in order, with the time difference that unique datagrams have. Of copies with one identification the first
+   counts. What the network changed is recognised by sender, identification and length.
 2. Streams of which each capture has a part: a packet with the next sequence count is captured later.
 3. Mission times of one boot of one cFS in both captures. Capture time minus mission time is equal for all its
    packets, except for delays; the shortest delay is below the cycle of the tasks that forward the packet. If
@@ -387,9 +388,15 @@ def _shared(first: Side, second: Side) -> _Estimate | None:
     tried = []
     for bits in (np.uint16(0xFFFF), np.uint16(0)):  # an address translation may clear identifications
         prints = [rows.bytes_print ^ rows.identification & bits for rows in (a, b)]
-        pairs = matches(*prints)
-        same = one(*pairs)
-        tried.append((prints, pairs[0][same], pairs[1][same]))
+        # Of copies with one identification the first is compared.
+        firsts = [
+            np.union1d(np.flatnonzero(rows.identification == 0), np.unique(own, return_index=True)[1])
+            for rows, own in zip((a, b), prints, strict=True)
+        ]
+        pairs = matches(*(own[at] for own, at in zip(prints, firsts, strict=True)))
+        ours, theirs = firsts[0][pairs[0]], firsts[1][pairs[1]]
+        same = one(ours, theirs)
+        tried.append((prints, ours[same], theirs[same]))
     prints, ours, theirs = max(tried, key=lambda item: len(item[1]))
     step = b.time_ns[theirs] - a.time_ns[ours]
     if len(step) < _LEAST:
@@ -402,26 +409,34 @@ def _shared(first: Side, second: Side) -> _Estimate | None:
         return None
     ours, theirs, senders = ours[near], theirs[near], senders[near]
     times = a.time_ns[ours], b.time_ns[theirs]
-    best: _Estimate | None = None
-    for host in sorted(set(senders.tolist())):
-        sent = senders == host
-        if sent.all():
-            break
+    fits = []
+    for sent in (senders == host for host in sorted(set(senders.tolist()))):
         out, back = (Ordered(times[0][way], times[1][way]) for way in (sent, ~sent))
-        fit = _Estimate.of([out, back._replace(back=True)], _BOTH)
-        if fit and (best is None or fit.lines.width < best.lines.width):
-            best = fit
-    if best is None:
-        # All go one way, or both captures are at one place: delays are assumed no longer than they vary.
-        best = _Estimate.of(one_way(*times), _BOTH)
+        if not sent.all():
+            fits.append(_Estimate.of([out, back._replace(back=True)], _BOTH))
+    # If all go one way, or both captures are at one place, delays are assumed no longer than they vary.
+    best = min(filter(None, fits), key=lambda item: item.lines.width, default=None)
+    best = best or _Estimate.of(one_way(*times), _BOTH)
     if best is None:
         return None
     then = best.line.set_back(b.time_ns)
     most_ns = int(np.abs(then[theirs] - times[0]).max())
     segment = pair_up(prints[0], a.time_ns, prints[1], then, most_ns)
     same = (segment.took_ns <= most_ns) & one(segment.into, segment.out)
-    numbers = np.sort(a.number[segment.into[same]])
-    return replace(best, shared=np.sort(b.number[segment.out[same]]), here=numbers)
+    pairs = segment.into[same], segment.out[same]
+    # What the network changed keeps its identification, its length and its sender.
+    free, marks = [], []
+    for rows, own in zip((a, b), pairs, strict=True):
+        free.append(np.setdiff1d(np.flatnonzero((rows.identification != 0) & ~rows.undelivered), own))
+        marks.append(rows.length[free[-1]].astype(np.uint64) * MIX ^ rows.identification[free[-1]])
+    rest = pair_up(marks[0], a.time_ns[free[0]], marks[1], then[free[1]], most_ns)
+    others = free[0][rest.into], free[1][rest.out]
+    near = (rest.took_ns <= most_ns) & (a.source[others[0]] == _moved(first, second)[b.source[others[1]]])
+    numbers = [
+        np.sort(rows.number[np.append(own, other[near])])
+        for rows, own, other in zip((a, b), pairs, others, strict=True)
+    ]
+    return replace(best, shared=numbers[1], here=numbers[0])
 
 
 def _ways_between(ours: Integers, theirs: Integers, took_ns: Integers) -> list[tuple[list[int], list[int]]]:
