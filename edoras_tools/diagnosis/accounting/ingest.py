@@ -17,7 +17,9 @@ Rules:
 7. Within these bounds the smallest number is lost; the rest waits.
 8. On a slow link, such as a radio, datagrams and counts may be on their way for long. If that explains all
    losses on the network, there are none. Where nothing came for a while, it explains only a part.
-9. Copies made by a network hide losses in the count. If everything CI reads goes to a robot, at most as many
+9. A count may be made a round of Telemetry Output sooner than its time stamp says, where all packets are as
+   late. This is assumed only where the counts contradict each other otherwise.
+10. Copies made by a network hide losses in the count. If everything CI reads goes to a robot, at most as many
    messages were lost behind CI as it read and did not come out; the others were lost before it.
 """
 
@@ -200,7 +202,11 @@ def ingests(case: Case) -> list[Ingest]:
         # If two CIs share an address and port, nothing shows which one a datagram was for.
         if endpoint is not None and uses[endpoint] == 1 and len(own) > 1:
             counter = _Counted(case, endpoint, system, to_ci[rows.destination[to_ci] == endpoint], own)
-            account = counter.account()
+            # Where counts contradict their time stamps, these may all be as late.
+            for counter.sooner_ns in (0, case.profile.to_wake_ns, 0):
+                account = counter.account()
+                if not account.not_captured:
+                    break
             lost = account.lost_by("network")
             if lost or (account.lost and account.not_captured):
                 late = counter.account(_UNDER_WAY_NS)
@@ -355,6 +361,8 @@ class _Counted:
         self._read_ns = _read_by(hops)
         self._first_out = min(((int(out[0]), int(sent[0])) for sent, out in self._read), default=(0, 0))
         """Of the first command that came out: a time at which CI had not read it, and when it was sent."""
+        self.sooner_ns = 0
+        """How much sooner each count may be made than its time stamp says."""
         self.stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
         """Whether CI read nothing between two samples though datagrams were sent, as on a stalled network."""
 
@@ -393,6 +401,8 @@ class _Counted:
                 # It ran on and reset its count: until then it read at most what it can.
                 begin: tuple[Cause, int] = ("socket" if crowded else "network", idle_ns)
                 most_read = before + self._most_read(own[last:first], own[first].made_ns) - own[first].count
+                if self._arrived is None:
+                    account.lacking += self._lacking(first, lost + before, lag_ns)
                 low[0] = -_MODULUS  # datagrams may have waited then
                 least, before = before + own[first - 1].count, min(_fewer(low, high) - lost, most_read)
                 room += max(0, before - least)
@@ -426,11 +436,14 @@ class _Counted:
             last_read = np.clip(lost + before + count[part], 1, len(self._sent_ns)) - 1
             lag_ns = int((self._seen[part] - self._sent_ns[last_read]).min())
             lost = _follow(account, run, lost, begin, room)
-            if blind and before and account.losses and not busy[1:2].any():
+            if blind and before and not busy[1:2].any():
                 # Before the capture the rate at its start is assumed, and the number sent is negative.
                 ahead_ns = int(emptied_ns[0]) - self._case.start_ns
                 surely = np.sign(ahead_ns) * self._sent_until(self._case.start_ns + abs(ahead_ns))
-                account.unsure += max(0, before - int(surely) + own[0].count)
+                # Those that the first count lacks for sure may be lost, or counted before a reset.
+                unsure = max(0, before, before - int(surely) + own[0].count)
+                account.unsure += unsure * bool(account.losses)
+                account.lacking += max(0, before) * (not account.losses)
             account.waiting = max(0, int(run.high[-1]) - lost)
             last, crowded = first, bool(busy[-1])
             idle = np.flatnonzero(drained[1:])
@@ -479,7 +492,7 @@ class _Counted:
             account.unsure += max(0, min(int(self._sent_until(ended_ns)) - lost, before + read) - surely)
         most_read, total = before + read, before + sooner.count
         if self._arrived is None:
-            account.lacking += max(0, int(self._sent_until(sooner.seen_ns - lag_ns)) - lost - total)
+            account.lacking += self._lacking(first, lost + before, lag_ns)
         before = int(self._sent_until(ended_ns)) - lost
         if before > most_read:
             # The datagrams that waited in its socket are lost with it.
@@ -497,6 +510,11 @@ class _Counted:
             before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
             ended_ns = until_ns
         return (cause, ended_ns), lost, before
+
+    def _lacking(self, first: int, total: int, lag_ns: int) -> int:
+        """Return how many sent until the last count before a restart that count, and those before, lack."""
+        sooner = self._own[first - 1]
+        return max(0, int(self._sent_until(sooner.seen_ns - lag_ns)) - total - sooner.count)
 
     def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return the times of commands between two times that restart its cFS."""
@@ -563,7 +581,7 @@ class _Counted:
         out_ns, sent_ns = self._read_ns
         # A busy CI has read the datagrams that came out, and perhaps no others; a count may be made a round
         # of Telemetry Output sooner than its time stamp says.
-        late_ns = _SLACK_NS + self._profile.to_wake_ns * busy
+        late_ns = _SLACK_NS + np.maximum(self._profile.to_wake_ns * busy, self.sooner_ns)
         last = np.searchsorted(out_ns, self._made[part] - late_ns) - 1
         return np.maximum(np.where(busy, 0, oldest), sent_ns[np.maximum(last, 0)]), busy
 
@@ -778,7 +796,8 @@ class BeforeCi:
             self._before_ci(account, before)
         outages = [item for item in self._case.outages if item.app in command_ingest.NAMES]
         if any(item.start_ns < account.first_ns for item in outages) and not any(item.seen for item in fates):
-            account.unsure += max(0, account.before)  # sent while it was restarted, or just before
+            # Sent while it was restarted, or just before.
+            account.unsure = max(account.unsure, account.before)
         self._make_uncertain([(fate, fate.open) for fate in fates], account.unsure)
 
     def concede(self, telemetry: Sequence[Loss]) -> None:
@@ -915,7 +934,7 @@ class BeforeCi:
         return sum(parts)
 
     def outnumbered(self, account: Ingest) -> None:
-        """Make losses before CI of messages that did not come out and that CI cannot have read (rule 9)."""
+        """Make losses before CI of messages that did not come out and that CI cannot have read (rule 10)."""
         fates = [fate for fate in self._to(account) if fate.seen]
         outs = {hop.out: hop.out for fate in fates for hop in fate.hops}.values()
         all_out = all(out.link.last_hop for out in outs)
