@@ -321,6 +321,9 @@ def _spread(
     did, reader = words
     most = own.most(queue.round_ns)
     if most <= limit:
+        more = sum(item.not_captured for item in case.ingests) if did == "sent" else 0
+        if more:
+            return f"see what doubles commands on the way, or who else sends: CI counted {more:,} more"
         return f"see what keeps {reader} from its pipe (its console, the load of its host)"
     while_ns = min(_WHILE_NS, case.end_ns - case.start_ns)
     if own.most(while_ns) * SECOND <= queue.rate_hz(limit) * while_ns:

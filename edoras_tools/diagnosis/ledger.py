@@ -736,6 +736,9 @@ def _unseen(case: Case, loss: Loss) -> LedgerWay:
     way = LedgerWay(LedgerTraffic(msg_id=msg_id, instance=case.label(loss.instance)), loss.lost)
     way.hop(loss.hop, _BY_BUS, among=loss.rivals)
     way.add_losses([loss], frozenset({loss.kind}))
+    rivals, twice = {item[1] for item in loss.rivals}, {*case.rows.msg_id[case.prepared.duplicates].tolist()}
+    if rivals and (twice & rivals or any(item.not_captured for item in case.ingests)):
+        way.copies = 0, loss.lost
     return way
 
 
