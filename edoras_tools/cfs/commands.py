@@ -275,7 +275,7 @@ def _value(command: str, field: Field, text: str) -> int | str:
     if field.kind == "text":
         if not 0 < len(text.encode()) < field.bits // 8 or not text.isascii() or not text.isprintable():
             raise ConfigError(f"{command}: {name} takes {_takes(field)}, in ASCII, not {text!r}")
-        if name == "address" and not _is_address(text):
+        if name == "address" and not is_address(text):
             raise ConfigError(f"{command}: {name} takes an IPv4 address, as 127.0.0.1, not {text!r}")
         return text
     if field.names:
@@ -293,7 +293,8 @@ def _value(command: str, field: Field, text: str) -> int | str:
     return _whole(command, name, text, *_range(field))
 
 
-def _is_address(text: str) -> bool:
+def is_address(text: str) -> bool:
+    """Tell whether a text is an IPv4 address."""
     try:
         ipaddress.IPv4Address(text)
     except ValueError:

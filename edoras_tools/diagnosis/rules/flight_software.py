@@ -171,10 +171,8 @@ def _together(silences: Sequence[Silence]) -> Iterator[list[Silence]]:
         first = rest[0]
 
         def alike(item: Silence, first: Silence = first) -> bool:
-            near = item.start_ns - first.start_ns < _NEAR_NS
-            back = abs(item.end_ns - first.end_ns) < _NEAR_NS
-            same = (item.system, item.until_ns is None) == (first.system, first.until_ns is None)
-            return near and back and same
+            near = max(item.start_ns - first.start_ns, abs(item.end_ns - first.end_ns)) < _NEAR_NS
+            return near and (item.system, item.until_ns is None) == (first.system, first.until_ns is None)
 
         yield [item for item in rest if alike(item)]
         rest = [item for item in rest if not alike(item)]
@@ -183,7 +181,6 @@ def _together(silences: Sequence[Silence]) -> Iterator[list[Silence]]:
 def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
     """Return what was stopped, closed or overwritten just before they fell silent: a half sentence each."""
     first, last = members[0].start_ns, members[-1].start_ns
-    overruns = [item for item in case.verdicts if item.rule == "struct_overrun" and item.msg_id is not None]
     closed = [
         f"nobody listened on {span.port} at {case.at(span.start_ns)}"
         for span in case.unreachable.spans
@@ -191,8 +188,8 @@ def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
     ]
     closed += [
         f"{case.name(item.msg_id or 0)} overran its struct at {case.at(item.start_ns)}, and what is behind"
-        for item in overruns
-        if abs(item.start_ns - first) < _NEAR_NS
+        for item in case.verdicts
+        if item.rule == "struct_overrun" and item.msg_id and abs(item.start_ns - first) < _NEAR_NS
     ]
     for item in case.passed_states:
         left, sent = (times[times < members[0].end_ns - _SLACK_NS] for times in (item.time_ns, item.sent_ns))
@@ -357,14 +354,15 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
 
     Find boots of the same name, one after the other; and one whose counts alone began again.
     """
+    how = "its clock went on, as after a processor reset: counts begin lower"
     for reset in case.resets:
-        yield _restarted(
-            case,
-            case.label(reset.instance),
-            (reset.start_ns, reset.end_ns),
-            "its clock went on, as after a processor reset: counts begin lower",
-        )
+        yield _restarted(case, case.label(reset.instance), (reset.start_ns, reset.end_ns), how)
     items = case.instances.items
+    for first in sorted(items, key=lambda item: item.first_ns)[:1]:
+        booted_ns, span = first.boot_ns(case.profile), (case.start_ns, first.first_ns)
+        if span[0] < booted_ns < span[1] and _down(case, *span):
+            label, shown_by = case.label(items.index(first)), "its mission time began then"
+            yield _restarted(case, label, span, shown_by, booted_ns)
     for before, index, boot_ns in boots(case):
         earlier, later = items[before], items[index]
         span = earlier.last_ns, later.first_ns
@@ -384,8 +382,7 @@ def cfs_stalled(case: Case) -> Iterator[Verdict]:
         into = rows.on(lambda link: link.only_to_cfs)
         into |= rows.on(lambda link: link.peers) & (rows.function_code >= 0)
         sent = int((into & (rows.time_ns > span.start_lo) & (rows.time_ns < span.end_hi)).sum())
-        text = f"; {plural(sent, 'message')} sent to it then had to wait, and came at once"
-        waited = text if sent else ""
+        waited = f"; {plural(sent, 'message')} sent to it then had to wait, and came at once" * bool(sent)
         whose = case.label(case.instances.systems.index(span.change.system))
         yield warning(
             f"{whose} stood still from {case.at(span.start_lo)} to {case.at(span.end_hi)}{waited}",
@@ -404,8 +401,8 @@ def _down(case: Case, start_ns: int, end_ns: int) -> list[Loss]:
     ]
 
 
-def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, beside_ns: int = 0) -> Verdict:
-    """Return that a cFS was started again; ``how`` it shows, and when, if the one before still ran."""
+def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, booted_ns: int = 0) -> Verdict:
+    """Return that a cFS was started; ``how`` it shows, and when, if none ran before or one still ran."""
     rows, down = case.rows, _down(case, *span)
     commanded = (rows.known_id == ES_COMMAND_MSG_ID) & (rows.function_code == RESTART)
     ended_ns = min((loss.start_ns + SECOND for loss in down), default=span[1])  # later ones were lost
@@ -415,9 +412,11 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, beside_n
     noun = "command" if all(loss.stream is None or loss.stream.is_command for loss in down) else "message"
     began = f"restarted between {case.at(span[0])} and {case.at(span[1])}"
     meanwhile, remedy = "counts begin again", f"enable Telemetry Output: {case.inject(ENABLE_OUTPUT)}"
-    if beside_ns:
-        began = f"was started at {case.at(beside_ns)} beside another one, which ran until {case.at(span[0])}"
-        meanwhile = "only the later one gets what is sent to CI's port"
+    if booted_ns:
+        began = f"was started at {case.at(booted_ns)}"
+        if span[0] > case.start_ns:
+            began += f" beside another one, which ran until {case.at(span[0])}"
+            meanwhile = "only the later one gets what is sent to CI's port"
     if lost:
         span = min(loss.start_ns for loss in down), max(loss.end_ns for loss in down)
         times = f"from {case.at(span[0])} to {case.at(span[1])}"

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
-from ipaddress import AddressValueError, IPv4Address
-from itertools import chain, pairwise
+from functools import partial
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from edoras_tools.cfs import executive_services, telemetry_output
-from edoras_tools.cfs.commands import ENABLE_OUTPUT
+from edoras_tools.cfs.commands import ENABLE_OUTPUT, is_address
 from edoras_tools.diagnosis.accounting.closed import diversion
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner
 from edoras_tools.diagnosis.rules.about import packet
@@ -51,8 +50,8 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
     reason = "Telemetry Output sends nothing here, and no command in the capture enables it"
     if enables:
         reason = (
-            f"Telemetry Output was enabled for {enables[-1].address!r} and nothing of it is seen here: it "
-            "sends elsewhere, its datagrams do not cross this capture point, or it does not run"
+            f"Telemetry Output was enabled for {enables[-1].address!r} and nothing of it is seen here: the "
+            "command did not arrive, it sends elsewhere, its datagrams do not pass here, or it does not run"
         )
     yield _warning(
         reason,
@@ -69,12 +68,9 @@ def to_destination(case: Case) -> Iterator[Verdict]:
 
     Go through the enable commands: addresses that are none, and addresses that change.
     """
-    every = _enables(case)
-    for item in chain.from_iterable(every):
-        if not _is_address(item.address):
-            yield _no_address(case, item)
-    for members in every:
-        own = [item for item in members if _is_address(item.address)]
+    for members in _enables(case):
+        yield from (_no_address(case, item) for item in members if not is_address(item.address))
+        own = [item for item in members if is_address(item.address)]
         if len({item.address for item in own}) > 1:
             yield _fight(case, own)
 
@@ -83,16 +79,6 @@ def _enables(case: Case) -> list[list[CommandRecord]]:
     """Return the commands that enable Telemetry Output and went to a CI; those to one endpoint together."""
     own = (item for item in case.payloads.outputs(telemetry_output.ENABLE) if case.rows.link[item.row] == CI)
     return list(by_key(own, lambda item: int(case.rows.destination[item.row])).values())
-
-
-@cache
-def _is_address(text: str) -> bool:
-    """Tell whether a text is an IPv4 address."""
-    try:
-        IPv4Address(text)
-    except AddressValueError:
-        return False
-    return True
 
 
 def _no_address(case: Case, item: CommandRecord) -> Verdict:
@@ -105,7 +91,7 @@ def _no_address(case: Case, item: CommandRecord) -> Verdict:
         msg_id=case.of_known(telemetry_output.COMMAND_MSG_ID),
         place=("ci", "TO_LAB_APP"),
         span=(item.time_ns, item.time_ns),
-        remedy="send the whole char[16]: 24 bytes in all",
+        remedy="enable it for the IPv4 address of the ground bridge's host, as text in a whole char[16]",
     )
 
 
@@ -113,11 +99,10 @@ def _fight(case: Case, members: list[CommandRecord]) -> Verdict:
     steps = [f"{case.at(item.time_ns)} {item.address}" for item in members]
     senders = {case.endpoints[case.rows.source[item.row]].address for item in members}
     changes = sum(a.address != b.address for a, b in pairwise(members))
-    fighting = changes > 1
     who = "two ground stations fight over Telemetry Output: it" if len(senders) > 1 else "Telemetry Output"
     return _warning(
         f"{who} was told {changes} times to send elsewhere, and sends to one address at a time"
-        if fighting
+        if changes > 1
         else "Telemetry Output was redirected: the first ground station gets nothing from then on",
         f"enabled from: {', '.join(sorted(senders))}",
         f"enabled for: {listed(steps)}",
@@ -287,18 +272,14 @@ def _ended(case: Case) -> Iterator[Verdict]:
     if removed or not commands or length < max(_ENDS_NS, _ENDS_ROUNDS * int(np.median(rounds))):
         return
     robot = int(((rows.link == ROBOT) & (rows.time_ns > last_ns + SECOND)).sum())
-    stopped = [
-        item
-        for item in case.outages
-        if item.app in executive_services.SCHEDULERS and item.start_ns < last_ns and item.end_ns is None
-    ]
     source = int(rows.source[np.flatnonzero(rows.link == TO)[-1]])
     order = diversion(case, case.instances.output(source), last_ns, case.end_ns + 2 * SECOND)
     why = "no counter and no event tells what became of them"
     remedy = f"see whether cFS and Telemetry Output run, and enable it: {case.inject(ENABLE_OUTPUT)}"
-    for item in stopped[-1:]:
-        why = f"{item.app}, which asks for housekeeping, was stopped {case.end_of(item)}"
-        remedy = f"start it again: {case.inject('es-start-app', item.app)}"
+    for item in (item for item in case.outages if item.app in executive_services.SCHEDULERS):
+        if item.start_ns < last_ns and item.end_ns is None:
+            why = f"{item.app}, which asks for housekeeping, was stopped {case.end_of(item)}"
+            remedy = f"start it again: {case.inject('es-start-app', item.app)}"
     if order:
         why = f"it sends to {order.value}, for which it was enabled at {case.at(order.not_before_ns)}"
     yield _warning(
@@ -319,7 +300,7 @@ def to_taken_over(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     for members in _enables(case):
-        enables = [item for item in members if _is_address(item.address)]
+        enables = [item for item in members if is_address(item.address)]
         for before, after in pairwise(enables):
             old, new = (case.endpoints[rows.source[item.row]].address for item in (before, after))
             if before.address == after.address or old == new:
