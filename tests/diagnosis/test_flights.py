@@ -154,6 +154,10 @@ FLIGHTS = {
     "lists_of_another_build": (52, {"unsubscribed": 24, "sbn_timeout": 22, "away": 6}),
     "unsubscribed_in_overload": (244, {"limit": 236, "unsubscribed": 8}),
     "sbn_back_at_once": (138, {"stopped": 61, "port_closed": 46, "limit": 29, "away": 2}),
+    "started_after_its_bridge": (108, {"down": 88, "limit": 20}),
+    "every_datagram_twice_flight": (41, {"limit": 41}),
+    "every_datagram_twice_ground": (41, {"limit": 41}),
+    "bits_changed_on_the_way_flight": (5, {"bad_command": 3, "no_subscriber": 2}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -198,6 +202,7 @@ RANGES = {
     "copies_on_any": 113,
     "restarted_in_a_flood_of_poses": 540,
     "bursts_of_poses_at_once": 1765,
+    "restarted_twice_at_15_hz": 213,
 }
 
 
@@ -293,6 +298,8 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
         ("restarted_far_away", 43),
         ("copies_both_ways", 91),
         ("begins_in_a_flood", 163),
+        ("enabled_late_on_a_losing_network", 41),
+        ("counters_reset_on_a_losing_network", 127),
     ],
 )
 def test_what_witnesses_leave_to_several_places_is_a_range(name, lost):
@@ -1229,6 +1236,38 @@ def test_copies_by_a_network_hide_no_loss_between_two_captures():
     causes = by_cause(found)
     assert (causes["network"], causes["after"]) == (44, 60)
     assert found.lost + found.unaccounted <= 136 <= found.lost + found.unaccounted + found.uncertain
+
+
+def test_what_the_network_changes_between_two_captures_is_one_datagram():
+    """Of ten commands with a changed bit behind it six reached no robot, of which one came as telemetry."""
+    found = together("bits_changed_on_the_way_flight", "bits_changed_on_the_way_ground")
+    assert by_cause(found) == {"bad_command": 3, "no_subscriber": 2}
+    assert not found.uncertain
+    swapped = together("bits_changed_on_the_way_ground", "bits_changed_on_the_way_flight")
+    assert swapped.lost + swapped.unaccounted <= 6
+
+
+@pytest.mark.parametrize("sides", [("flight",), ("ground",), ("flight", "ground"), ("ground", "flight")])
+def test_of_what_comes_twice_one_of_each_arrives(sides):
+    """One count is of 0x082d or of 0x1827, all of whose commands arrived: what it counts may be a copy."""
+    names = [f"every_datagram_twice_{side}" for side in sides]
+    found = together(*names) if len(names) > 1 else examined(*names)
+    assert (found.lost, found.messages_lost, found.uncertain) == (41, 22, 0)
+
+
+@pytest.mark.parametrize("name", ["every_datagram_twice_ground", "doubled_uplink"])
+def test_who_doubles_commands_behind_the_capture_is_to_be_looked_for_and_not_the_application(name):
+    screen = first_screen(examined(name))
+    assert "see what doubles commands on the way" in screen
+    assert "from its pipe" not in screen
+
+
+def test_what_was_sent_before_cfs_started_has_a_verdict_with_advice():
+    found = examined("started_after_its_bridge")
+    (item,) = [item for item in found.verdicts if item.rule == "cfs_restart"]
+    assert item.lost == 88
+    assert item.reason.startswith("cFS 66:1 was started at 11.2 s: 88 commands")
+    assert "send nothing until cFS runs" in first_screen(found)
 
 
 def test_who_sends_slowly_to_an_application_that_is_stopped_fills_its_pipe():
