@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from paths import MISSIONS, captured
 from rounds import command
 
-from edoras_tools.addons.wireshark.lua import dissector
+from edoras_tools.addons.wireshark.program import dissector
 from edoras_tools.pipelines.workbench import Settings
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from edoras_tools.addons.foxglove.player import PlaybackOptions, RecordingPlayer, open_recording
-from edoras_tools.addons.foxglove.serving import attach
+from edoras_tools.addons.foxglove.player import PlaybackOptions, RecordingPlayer, attach, open_recording
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.workbench import Settings
 

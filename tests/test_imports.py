@@ -23,7 +23,7 @@ SCAPY_ROOMS = ("dissectors/", "edoras_tools/io/capture/scapy_backend.py")
 COMMAND_LINES = ("cli/*", "addons/*/cli.py", "addons/*/cli/*")
 PUT_OFF = {
     "__init__.py": ("importlib", "loads warnings: nothing comes before the programs heed Ctrl-C"),
-    "addons/dds/messages.py": ("cyclonedds", "a part of its inside, which may not be there"),
+    "addons/dds/endpoints.py": ("cyclonedds", "a part of its inside, which may not be there"),
     "doors.py": (
         "edoras_tools.addons importlib.metadata",
         "the table, when an add-on is asked for; 11 ms, and only where a package adds something",

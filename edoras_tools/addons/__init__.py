@@ -219,7 +219,7 @@ ADDONS: Final = (
         {"live": _LOOK("Show a link or a recording in Foxglove.", "cli:live", "plot")},
         {
             "middleware": {"foxglove": ":FOXGLOVE"},
-            "parts": {"foxglove": "serving", "display": "cli", "monitor": "serving:monitor"},
+            "parts": {"foxglove": "player", "display": "cli", "monitor": "player:monitor"},
         },
         extra="live",
     ),

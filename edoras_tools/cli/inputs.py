@@ -190,7 +190,7 @@ def _opened(live: LiveOptions, bench: Workbench, *, every_port: bool) -> Source:
             interface, ports, streams=streams, begins=begins, ready=ready, on_outage=_tell, wait=waits
         )
     from edoras_tools.cli.output import tell_reach
-    from edoras_tools.io.net.receive import UdpSource
+    from edoras_tools.io.net.buffer import UdpSource
     from edoras_tools.io.net.sockets import parse_endpoint
 
     sockets = UdpSource(

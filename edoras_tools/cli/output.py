@@ -49,7 +49,7 @@ def watcher(
         return nullcontext()  # and nothing is loaded that shows
     if not live:
         return file_progress([source.info.name], quiet=False)
-    from edoras_tools.render.capture.live import live_table
+    from edoras_tools.render.capture.info import live_table
     from edoras_tools.render.terminal.terminal import error_console
 
     title = f"{source.info.name} → {output}" if output else source.info.name

@@ -16,7 +16,7 @@ from edoras_tools.addons.fprime.link import FPRIME
 from edoras_tools.addons.frames.link import FRAMES
 from edoras_tools.addons.frames.unframer import Unframer
 from edoras_tools.addons.racs2.link import BODY_FIELDS, RACS2
-from edoras_tools.addons.wireshark.lua import dissector
+from edoras_tools.addons.wireshark.program import dissector
 from edoras_tools.cfs.arguments import SERVICES
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.io.formats.open import open_file

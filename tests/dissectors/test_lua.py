@@ -14,7 +14,7 @@ from made_system import write
 from places import ROOT
 
 from edoras_tools.addons.lab.emulator import WireDatagram
-from edoras_tools.addons.wireshark.lua import dissector
+from edoras_tools.addons.wireshark.program import dissector
 from edoras_tools.dissectors.lua import GUARD, own_digest
 from edoras_tools.dissectors.lua_text import literal, quoted
 from edoras_tools.io.formats.open import open_file

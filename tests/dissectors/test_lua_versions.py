@@ -10,7 +10,7 @@ import pytest
 from fprime_session import DICTIONARY
 from places import ROOT
 
-from edoras_tools.addons.wireshark.lua import dissector
+from edoras_tools.addons.wireshark.program import dissector
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.workbench import Settings
 

@@ -37,8 +37,18 @@ from cyclonedds.util import duration
 
 from edoras_tools.addons.dds import domain as dds_domain
 from edoras_tools.addons.dds.domain import configuration, hold, release
-from edoras_tools.addons.dds.endpoints import BLOCKING_MS, CountedWriter, TopicReaders, acknowledged, room_of
-from edoras_tools.addons.dds.messages import ANY_STATE, DdsTypes, padded, trimmed, writer_of
+from edoras_tools.addons.dds.endpoints import (
+    ANY_STATE,
+    BLOCKING_MS,
+    CountedWriter,
+    DdsTypes,
+    TopicReaders,
+    acknowledged,
+    padded,
+    room_of,
+    trimmed,
+    writer_of,
+)
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware import graph
 from edoras_tools.middleware.graph import TopicState, check_name, dds_name, node_name, ros_name

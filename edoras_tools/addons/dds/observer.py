@@ -19,8 +19,8 @@ from cyclonedds.util import duration
 
 from edoras_tools.addons.dds import domain as dds_domain
 from edoras_tools.addons.dds import graph as dds_peers
+from edoras_tools.addons.dds.endpoints import DdsTypes, info_taker_of, trimmed
 from edoras_tools.addons.dds.graph import Session, reader_qos
-from edoras_tools.addons.dds.messages import DdsTypes, info_taker_of, trimmed
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware.graph import Qos, ros_name
 from edoras_tools.ros.type_hash import type_hash
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cyclonedds.builtin import DcpsEndpoint
     from cyclonedds.qos import Qos as DdsQos
 
-    from edoras_tools.addons.dds.messages import TakeWithInfo
+    from edoras_tools.addons.dds.endpoints import TakeWithInfo
     from edoras_tools.ros import TypeStore
 
 _WORD: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")

@@ -133,8 +133,8 @@ def live(
 
     For example: edoras live --sim two-rovers; or edoras live -i lo -c rover.yaml
     """
-    from edoras_tools.addons.foxglove.serving import attach, attach_player
-    from edoras_tools.addons.foxglove.serving import live as run
+    from edoras_tools.addons.foxglove.player import attach, attach_player
+    from edoras_tools.addons.foxglove.player import live as run
     from edoras_tools.pipelines.reading import on_interrupt
 
     (_, live_options), sim = source
@@ -289,7 +289,7 @@ def server(
     Raises:
         ConfigError: an origin is not valid.
     """
-    from edoras_tools.addons.foxglove.serving import attach
+    from edoras_tools.addons.foxglove.player import attach
 
     check, word = _origin_check(origins), token or ""
 

@@ -135,7 +135,7 @@ def demo(
 
 
 def _tour(output: Path | None, duration: int | None, *, force: bool) -> None:
-    from edoras_tools.addons.lab.demo.tour import tour
+    from edoras_tools.addons.lab.demo.run import tour
     from edoras_tools.addons.lab.views.view import Guide
     from edoras_tools.render.terminal.terminal import detect_terminal
 
@@ -547,7 +547,7 @@ def prove(inputs: InputOptions, settings: Settings, printing: PrintOptions, task
         Exit: the model does not explain the losses, or an advice does not keep its promise.
     """
     from edoras_tools.addons.lab.proof import prove_capture
-    from edoras_tools.addons.lab.views.proof import proof_picture, proof_view
+    from edoras_tools.addons.lab.views.view import proof_picture, proof_view
 
     output = task.output
     if output is not None:

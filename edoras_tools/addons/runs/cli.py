@@ -21,8 +21,8 @@ from edoras_tools.errors import CaptureError, ConfigError, InterruptError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from edoras_tools.addons.runs.against import BagComparison
     from edoras_tools.addons.runs.check import CheckReport, Examined
+    from edoras_tools.addons.runs.comparison import BagComparison
     from edoras_tools.addons.runs.differences import DifferenceLimits
     from edoras_tools.addons.runs.expectations import Expectations
     from edoras_tools.addons.runs.run import Run
@@ -282,7 +282,7 @@ def against(
     settings: Settings, scope: Scope, files: list[Path], other: Path, printing: options.PrintOptions
 ) -> None:
     """Compare captures with another one of the same traffic."""
-    from edoras_tools.addons.runs.against import diff
+    from edoras_tools.addons.runs.comparison import diff
     from edoras_tools.addons.runs.views import comparison_table
     from edoras_tools.pipelines.workbench import open_files
 
@@ -315,7 +315,7 @@ def bags(
     verbose: bool,
 ) -> None:
     """Compare a capture, or the first of several bags, with bags of the ROS side."""
-    from edoras_tools.addons.runs.against import against_bag, against_capture, bridge_counts
+    from edoras_tools.addons.runs.comparison import against_bag, against_capture, bridge_counts
     from edoras_tools.cli.doctor import print_diagnosis
     from edoras_tools.diagnosis.balance import chains
     from edoras_tools.pipelines.doctor.doctor import Pace, examine

@@ -16,8 +16,7 @@ from textual.widgets import Input
 from textual.worker import get_current_worker
 
 from edoras_tools import doors
-from edoras_tools.addons.tui.data.figures import field_figure, rate_figure
-from edoras_tools.addons.tui.data.store import PacketBlock, WatchThread, sort_order
+from edoras_tools.addons.tui.data.store import PacketBlock, WatchThread, field_figure, rate_figure, sort_order
 from edoras_tools.addons.tui.lists.control_room import Drawing, finding_rows, room_rows, sum_rows
 from edoras_tools.addons.tui.lists.hex_pane import HexPane
 from edoras_tools.addons.tui.lists.lines import Lines

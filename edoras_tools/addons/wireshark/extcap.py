@@ -19,7 +19,7 @@ from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.capture.device import interfaces as live_interfaces
 from edoras_tools.io.capture.live import open_live
 from edoras_tools.io.formats.pcapng import PcapngSink
-from edoras_tools.io.net.receive import UdpSource
+from edoras_tools.io.net.buffer import UdpSource
 from edoras_tools.io.net.sockets import parse_endpoint
 from edoras_tools.links import table
 from edoras_tools.pipelines.reading import reading

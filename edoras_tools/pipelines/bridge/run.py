@@ -39,8 +39,14 @@ from edoras_tools.mission import GroundLink, Route
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.bridge.plan import BridgePlan, BridgeRequest, StationPlan, qos_of, sizes_of
 from edoras_tools.pipelines.reading import on_interrupt, threads_take_turns, watched
-from edoras_tools.sessions.bridge.bridge import CI_LARGEST, SBN_LARGEST, BridgeOptions, BridgeSession
-from edoras_tools.sessions.bridge.ends import FlightSession, GroundSession
+from edoras_tools.sessions.bridge.bridge import (
+    CI_LARGEST,
+    SBN_LARGEST,
+    BridgeOptions,
+    BridgeSession,
+    FlightSession,
+    GroundSession,
+)
 from edoras_tools.sessions.bridge.packets import PacketWriter
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays import by_key

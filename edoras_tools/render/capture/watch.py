@@ -1,4 +1,4 @@
-"""The progress of a run on standard error, and the line printed at its end; the live table is in ``live``."""
+"""The progress of a run on standard error, and the line printed at its end; the live table is in ``info``."""
 
 from __future__ import annotations
 

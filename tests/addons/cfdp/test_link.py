@@ -46,7 +46,7 @@ from transfer_frames import batch_of
 from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.addons.cfdp.link import CFDP
 from edoras_tools.addons.cfdp.transactions import FileEvidence
-from edoras_tools.addons.wireshark.lua import dissector
+from edoras_tools.addons.wireshark.program import dissector
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.open import open_file

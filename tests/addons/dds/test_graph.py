@@ -19,7 +19,6 @@ from rosbags.typesys import Stores, get_typestore
 from waiting import PATIENCE_S
 
 from edoras_tools.addons.dds import endpoints
-from edoras_tools.addons.dds import messages as dds_messages
 from edoras_tools.addons.dds.graph import open_graph
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware import Qos
@@ -355,9 +354,9 @@ def test_what_is_no_message_is_refused(node, cdr):
 def test_the_public_way_of_cyclonedds_gives_the_same_bytes(node, until, way, monkeypatch):
     names = ["sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Empty", STRING]
     if way == "written":
-        monkeypatch.setattr(endpoints, "writer_of", dds_messages.plain_writer_of)
+        monkeypatch.setattr(endpoints, "writer_of", endpoints.plain_writer_of)
     else:
-        monkeypatch.setattr(endpoints, "info_taker_of", dds_messages.plain_taker_of)
+        monkeypatch.setattr(endpoints, "info_taker_of", endpoints.plain_taker_of)
     one, other = node("one"), node("other")
     for name in names:
         heard = []
@@ -381,8 +380,8 @@ def test_where_cyclonedds_is_not_as_known_the_public_way_is_taken(node, until, m
     until(lambda: graph._readers)
     monkeypatch.delattr("cyclonedds._clayer.ddspy_take")
     monkeypatch.delattr("cyclonedds.internal.DDS._dll_handle")
-    assert dds_messages.info_taker_of(graph._readers[0][1]).__qualname__.startswith("plain_taker_of")
-    assert dds_messages.writer_of(graph._writers[0][1]).__qualname__.startswith("plain_writer_of")
+    assert endpoints.info_taker_of(graph._readers[0][1]).__qualname__.startswith("plain_taker_of")
+    assert endpoints.writer_of(graph._writers[0][1]).__qualname__.startswith("plain_writer_of")
 
 
 @pytest.mark.long

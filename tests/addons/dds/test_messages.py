@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import SUPPORT
 
-from edoras_tools.addons.dds.messages import DdsTypes, dds_name, is_little_endian, padded, rewritten, trimmed
+from edoras_tools.addons.dds.endpoints import DdsTypes, dds_name, is_little_endian, padded, rewritten, trimmed
 from edoras_tools.errors import ConfigError, RouteError, WireError
 from edoras_tools.pipelines.sending.inject import arbitrary
 from edoras_tools.ros import TypeStore

@@ -20,12 +20,12 @@ from places import ROOT
 from edoras_tools.addons.foxglove.player import (
     PlaybackOptions,
     RecordingPlayer,
+    attach,
     open_recording,
     request_of,
     split_keys,
 )
 from edoras_tools.addons.foxglove.server.protocol import PlaybackRequest, PlaybackState
-from edoras_tools.addons.foxglove.serving import attach
 from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.io.formats.open import kept_recording
 from edoras_tools.model import Endpoint

@@ -10,8 +10,8 @@ import foxglove_client as peer
 import pytest
 from places import ROOT
 
+from edoras_tools.addons.foxglove.player import LEVELS, attach, live
 from edoras_tools.addons.foxglove.publish import CommandPublisher
-from edoras_tools.addons.foxglove.serving import LEVELS, attach, live
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.source import RealTimeSource, start_simulation
 from edoras_tools.addons.racs2.link import RACS2

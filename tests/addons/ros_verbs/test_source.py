@@ -5,7 +5,7 @@ from mcap.reader import make_reader
 
 from edoras_tools.addons.ros_verbs import endpoints as module
 from edoras_tools.addons.ros_verbs.endpoints import GraphRequest, open_source, topics_of_graph
-from edoras_tools.addons.runs.against import missed_by
+from edoras_tools.addons.runs.comparison import missed_by
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
 from edoras_tools.pipelines.capture.record import Target, record

@@ -13,7 +13,7 @@ from rosbags.rosbag2 import Writer as BagWriter
 from rosbags.typesys import Stores, get_typestore
 
 from edoras_tools.addons.lab.emulator import Simulation
-from edoras_tools.addons.runs.against import against_bag, against_capture, bridge_counts
+from edoras_tools.addons.runs.comparison import against_bag, against_capture, bridge_counts
 from edoras_tools.diagnosis.balance import PEER_TO_ROBOT, PUBLISHER, chains
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.open import open_file

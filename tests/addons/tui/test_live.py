@@ -6,7 +6,7 @@ import pytest
 from places import ROOT
 
 from edoras_tools.decode import Options
-from edoras_tools.io.net.receive import UdpSource
+from edoras_tools.io.net.buffer import UdpSource
 from edoras_tools.links.bare import CI
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.reading import Limits

@@ -6,7 +6,7 @@ import subprocess
 import pytest
 
 from edoras_tools.addons.lab.emulator import WireDatagram
-from edoras_tools.addons.wireshark.lua import dissector, engine_structs
+from edoras_tools.addons.wireshark.program import dissector, engine_structs
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcap import PcapSink
 from edoras_tools.io.frames.frame_batch import frames_of

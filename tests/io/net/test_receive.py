@@ -12,9 +12,9 @@ from waiting import until
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.linklayer import demux
-from edoras_tools.io.net import receive as udp
+from edoras_tools.io.net import buffer as udp
 from edoras_tools.io.net import sockets
-from edoras_tools.io.net.receive import Sockets, UdpSource
+from edoras_tools.io.net.buffer import Sockets, UdpSource
 from edoras_tools.model import Endpoint
 
 LOCAL = Endpoint("127.0.0.1", 0)

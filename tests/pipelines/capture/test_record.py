@@ -27,7 +27,7 @@ from edoras_tools.errors import CaptureError, ConfigError, InterruptError, Route
 from edoras_tools.io import Sink
 from edoras_tools.io.formats.mcap import writer
 from edoras_tools.io.formats.mcap.writer import McapSink
-from edoras_tools.io.net.receive import UdpSource
+from edoras_tools.io.net.buffer import UdpSource
 from edoras_tools.mission import Mission
 from edoras_tools.model import Columns, Endpoint
 from edoras_tools.pipelines.capture import record as module

@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from edoras_tools.render.capture.live import view
+from edoras_tools.render.capture.info import view
 from edoras_tools.render.terminal.live_table import Moment
 
 

@@ -12,7 +12,7 @@ from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.sending.loop import enable_output
-from edoras_tools.sessions.bridge.ends import ASK_NS, SILENCE_NS, STEP_NS, FlightSession, GroundSession
+from edoras_tools.sessions.bridge.bridge import ASK_NS, SILENCE_NS, STEP_NS, FlightSession, GroundSession
 from edoras_tools.sessions.bridge.packets import PacketWriter
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn

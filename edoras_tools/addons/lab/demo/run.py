@@ -1,4 +1,7 @@
-"""Runs a demo of the paper: emulated cFS, bridges, robots and a ground station in one process."""
+"""Runs a demo of the paper: emulated cFS, bridges, robots and a ground station in one process.
+
+The tour is an emulated cFS with two rovers on loopback, captured, decoded and recorded at the same time.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,10 @@ import socket
 import tempfile
 import time
 from collections import Counter, deque
-from contextlib import ExitStack, contextmanager
-from importlib.resources import files
+from contextlib import ExitStack, contextmanager, nullcontext
+from importlib.resources import as_file, files
 from pathlib import Path
+from time import time_ns
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -17,16 +21,19 @@ from edoras_tools import doors
 from edoras_tools.addons.lab.demo import nodes
 from edoras_tools.addons.lab.emulator import BOOT_NS, Scenario, Served, Simulation
 from edoras_tools.addons.lab.emulator.apps.core import SingleRobotApp
+from edoras_tools.addons.lab.emulator.source import SimulatedSource
 from edoras_tools.cfs.edoras_app import PIPE
 from edoras_tools.errors import CaptureError, ConfigError, EdorasError
+from edoras_tools.io.capture.live import open_live
 from edoras_tools.io.outputs import to_write, write_files
 from edoras_tools.middleware import Graph, open_graph
 from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
 from edoras_tools.pipelines.bridge.run import Bridges
-from edoras_tools.pipelines.capture.record import Target, check_output
+from edoras_tools.pipelines.capture.record import CaptureReport, Target, check_output, record
+from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.recorder import RelayRecorder
-from edoras_tools.pipelines.workbench import Settings, Workbench
+from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.units import SECOND
 
@@ -35,9 +42,9 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from edoras_tools.io import DisplaySink
+    from edoras_tools.io import DisplaySink, Source
+    from edoras_tools.model import Columns, Decoded, PacketBatch
     from edoras_tools.render.terminal.text import Watcher
-
 
 ROUTER_PORT: Final = 7447
 """The port where rmw_zenoh's nodes expect it."""
@@ -407,3 +414,91 @@ class Demo:
             "lost": dict(losses),
             "replaced": 0,
         }
+
+
+SAMPLES: Final = files("edoras_tools.samples")
+_COMMAND_RATE_HZ: Final = 10.0
+
+
+def unpack(folder: Path, *, replace: bool = False) -> tuple[Path, Path]:
+    """Copy the sample missions, the capture and the Foxglove layout into the user's folder.
+
+    Args:
+        folder: target; it is created.
+        replace: overwrite files of these names.
+
+    Returns:
+        The folder of missions, and the capture.
+
+    Raises:
+        ConfigError: such a file exists, and has other contents.
+        CaptureError: a file cannot be written.
+    """
+    with as_file(SAMPLES) as samples:
+        missions = [path for path in (samples / "missions").rglob("*") if path.is_file()]
+        copies = {folder / path.relative_to(samples): path.read_bytes() for path in missions}
+        for name in ("captures/a_rover.pcap", "foxglove_layout.json"):
+            copies[folder / Path(name).name] = (samples / name).read_bytes()
+    try:
+        write_files(copies, force=replace)
+    except CaptureError as error:
+        raise CaptureError(f"{error}; name another folder with -o") from None
+    return folder / "missions", folder / "a_rover.pcap"
+
+
+def tour(
+    folder: Path,
+    seconds: float,
+    *,
+    show: Callable[[Decoded], None],
+    notice: Callable[[str], None],
+    replace: bool = False,
+) -> tuple[CaptureReport, CaptureReport]:
+    """Run the tour; return the reports of the live link's recording, and of the sample capture's.
+
+    Args:
+        show: called with every packet of the live link.
+        notice: called with each note, one line.
+        replace: overwrite the files of another tour in that folder.
+
+    Raises:
+        ConfigError: files of these names exist.
+        CaptureError: a port is in use, or the folder cannot be written.
+    """
+    live = Target(folder / "two_rovers.mcap", transforms=True, replace=replace)
+    recording = Target(folder / "a_rover.mcap", transforms=True, replace=replace)
+    for target in (live, recording):
+        check_output(target, ())
+    missions, capture = unpack(folder, replace=replace)
+    settings = Settings((missions / "two_rovers_ground.yaml", missions / "two_rovers_flight.yaml"))
+    bench = settings.workbench()
+    simulation = Simulation(
+        scenario="two-rovers",
+        start_ns=time_ns() - BOOT_NS,
+        command_rate_hz=_COMMAND_RATE_HZ,
+        state_rate_hz=_COMMAND_RATE_HZ,
+    ).boot()
+    duration_ns = int(seconds * 1e9)
+    source = _source(simulation, duration_ns, bench, notice)
+
+    def tap(batch: PacketBatch, _columns: Columns) -> None:
+        for row in range(len(batch)):
+            show(bench.dissector.dissect(batch[row]))
+
+    with Served(simulation) if source.live else nullcontext():
+        limits = Limits(duration_ns=duration_ns)
+        report = record(source, bench, live, limits=limits, tap=tap)
+    rover = Settings((missions / "rover_ground.yaml",)).workbench()
+    real = record(open_files([capture]), rover, recording)
+    return report, real
+
+
+def _source(
+    simulation: Simulation, duration_ns: int, bench: Workbench, notice: Callable[[str], None]
+) -> Source:
+    try:
+        return open_live("lo", bench.columns.context.capture_ports())
+    except CaptureError as error:
+        notice(f"{error}")
+        notice("therefore the same link runs in simulated time")
+        return SimulatedSource(simulation, duration_ns)

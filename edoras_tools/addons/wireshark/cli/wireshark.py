@@ -22,7 +22,7 @@ wireshark.add_typer(extcap)
 
 
 def _dissector(decoding: options.DecodingOptions) -> str:
-    from edoras_tools.addons.wireshark.lua import dissector
+    from edoras_tools.addons.wireshark.program import dissector
 
     text, warnings = dissector(decoding.settings())
     tell(*warnings)

@@ -69,10 +69,11 @@ from edoras_tools.io.formats.mcap.recovery.report import (
     FilePart,
     FoundSummary,
     LostStretch,
+    Piece,
     Recovery,
+    Scan,
     summaries,
 )
-from edoras_tools.io.formats.mcap.recovery.scan import Piece, Scan
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.io.outputs import NewFile
 from edoras_tools.io.topics.messages import MAGIC

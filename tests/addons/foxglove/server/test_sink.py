@@ -17,11 +17,16 @@ from others import IDL, TOPICS, read_bag, studio_message, write_bag, write_studi
 from places import ROOT
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from edoras_tools.addons.foxglove.player import PlaybackOptions, RecordingPlayer, open_recording
+from edoras_tools.addons.foxglove.player import (
+    PlaybackOptions,
+    RecordingPlayer,
+    attach,
+    attach_player,
+    open_recording,
+)
 from edoras_tools.addons.foxglove.server import link_state
 from edoras_tools.addons.foxglove.server.server import ServerOptions
 from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, LinkMonitor
-from edoras_tools.addons.foxglove.serving import attach, attach_player
 from edoras_tools.decode import Context
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io import RecordingOptions
