@@ -27,7 +27,7 @@ import numpy as np
 
 from edoras_tools.errors import TruncatedError
 from edoras_tools.model import Columns, Datagram, Finding, Layer, LayerField, PacketBatch, RosMessage
-from edoras_tools.wire.arrays import PADDING
+from edoras_tools.wire.arrays import PADDING, Integers, Mask, Octets, Places
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays import Integers, Mask, Octets, Places
     from edoras_tools.wire.layout import Layout
 
 

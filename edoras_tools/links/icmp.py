@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from edoras_tools.links.protocol import CERTAIN, BatchRows, LinkProtocol, Seen
 from edoras_tools.model import Datagram, Decoded, Endpoint, Finding, PacketBatch, Transport
-from edoras_tools.wire.arrays import gather, read_at
+from edoras_tools.wire.arrays import Integers, Mask, Places, gather, read_at
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import Reading, Site
-    from edoras_tools.wire.arrays import Integers, Mask, Places
 
 
 class _AddressField(Field, frozen=True):

@@ -22,7 +22,7 @@ from edoras_tools.ros.library import (
     full_name,
     with_used,
 )
-from edoras_tools.wire.arrays import by_key
+from edoras_tools.wire.arrays import Integers, Mask, Octets, by_key
 
 if TYPE_CHECKING:
     import os
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.ros.cdr.columns import MessageColumns
-    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 USUAL_DISTRO: Final = "jazzy"
 """The distribution if none is named: that of EDORAS's own images."""

@@ -17,7 +17,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import accepted, among
 from edoras_tools.ros.library import Definition, complete_text, with_used
-from edoras_tools.structs import messages
+from edoras_tools.structs import Structs, messages
 from edoras_tools.structs.messages import HEAD, HEADER_FIELDS, MOST_VALUES, Counter, StructPlan, parts
 from edoras_tools.structs.shapes import SHIPPED, Key, Member, Struct, StructLayout
 from edoras_tools.wire import ccsds
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
-
-    from edoras_tools.structs import Structs
 
 
 class StructPayloads(NamedTuple):

@@ -30,14 +30,13 @@ from edoras_tools.links import ROWS, table
 from edoras_tools.model import OTHER
 from edoras_tools.ros.library import PRIMITIVES, Constant, Definition, MessageField, Shape
 from edoras_tools.structs.shapes import OPEN, Basic, BasicKind, Member, Struct, StructLayout
-from edoras_tools.wire.arrays import copy_rows, put_rows
+from edoras_tools.wire.arrays import Integers, Octets, copy_rows, put_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays import Integers, Octets
 
 HEADER_TYPE: Final = "CfsHeader"
 HEADER_FIELDS: Final = (

@@ -17,7 +17,7 @@ from edoras_tools.addons import LINK_PORTS
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, LinkSending, Located, Seen
 from edoras_tools.model import Decoded, Finding, LayerField, PacketBatch, Transport
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.arrays import CRC16_BYTES, crc16_rows, gather
+from edoras_tools.wire.arrays import CRC16_BYTES, Integers, Mask, Octets, Places, crc16_rows, gather
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import LinkEvidence, OwnTopics, Reading, Site, TopicSpace
-    from edoras_tools.wire.arrays import Integers, Mask, Octets, Places
 
 
 class Directive(IntEnum):

@@ -16,13 +16,12 @@ from edoras_tools.addons.cfdp import link as cfdp
 from edoras_tools.addons.cfdp.link import Directive, Pdus
 from edoras_tools.links.protocol import LinkSending, SendingSession
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays import CRC16_BYTES, crc16
+from edoras_tools.wire.arrays import CRC16_BYTES, Integers, Mask, crc16
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from edoras_tools.model import Columns, Link, PacketBatch
-    from edoras_tools.wire.arrays import Integers, Mask
 
 _AGAIN_NS: Final = SECOND
 """Time after which EOF is sent again, until it is acknowledged."""

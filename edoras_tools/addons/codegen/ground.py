@@ -35,7 +35,7 @@ from msgspec.structs import replace
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.cdr.plan import CdrPlan, PlanStep, PrimitiveRun, Repeat, Text
 from edoras_tools.structs.messages import MessagePart, parts
-from edoras_tools.structs.shapes import BasicKind, Enumeration, Member, Struct, StructLayout
+from edoras_tools.structs.shapes import BasicKind, Enumeration, Member, Range, Struct, StructLayout
 from edoras_tools.wire import ccsds
 from edoras_tools.wire.cfe import EXTENDED, Headers, emit_command
 from edoras_tools.wire.envelope import CDR_LE, DEFAULT, ENCAPSULATION, EnvelopeFormat
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Route
     from edoras_tools.ros import TypeStore
     from edoras_tools.structs.bindings import Bound
-    from edoras_tools.structs.shapes import Range
     from edoras_tools.wire.layout import Layout
 
 Encoding = Literal["uint", "int", "float", "bytes", "text"]

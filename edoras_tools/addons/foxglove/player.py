@@ -32,7 +32,7 @@ from edoras_tools.pipelines.capture.record import CaptureReport, Target, pour, r
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.reading import Limits, RunCounter, on_interrupt, reading
-from edoras_tools.pipelines.selection import outside
+from edoras_tools.pipelines.selection import Selection, outside
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
 from edoras_tools.render.severity import EXPLANATIONS, Level
 from edoras_tools.units import MILLISECOND, SECOND
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.links.doors import OwnRows
     from edoras_tools.model import Columns, Endpoint, PacketBatch, SourceInfo, SourceStatistics
-    from edoras_tools.pipelines.selection import Selection
     from edoras_tools.render.terminal.text import Progress, Watcher
 
 HELP: Final = "space, ←→ 5 s, ↑↓ speed, Home, q"

@@ -20,13 +20,12 @@ from edoras_tools.addons.fprime import link as fprime
 from edoras_tools.addons.fprime.link import PacketType
 from edoras_tools.addons.fprime.table import BoundEntry, Entry, EntryTable, EventSeverity
 from edoras_tools.errors import ConfigError
-from edoras_tools.structs import shapes
+from edoras_tools.structs import Structs, shapes
 from edoras_tools.structs.files import Database, plain_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from edoras_tools.structs import Structs
 
 PACKAGE: Final = "fprime_msgs"
 _TYPES: Final = "typeDefinitions"

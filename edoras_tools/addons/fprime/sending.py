@@ -16,7 +16,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.links.protocol import LinkSending
 from edoras_tools.structs.shapes import BasicKind, Enumeration, Member, Struct, StructLayout
 from edoras_tools.wire import ccsds
-from edoras_tools.wire.arrays import CRC16_BYTES, crc16
+from edoras_tools.wire.arrays import CRC16_BYTES, Mask, crc16
 from edoras_tools.wire.transfer_frames import TC_LENGTH_BIAS
 from edoras_tools.words import did_you_mean, listed
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from edoras_tools.addons.fprime.table import EntryTable
     from edoras_tools.links.doors import Framing
     from edoras_tools.model import Columns, Link, PacketBatch
-    from edoras_tools.wire.arrays import Mask
 
 _PORT: Final = 50000
 """Port of the ground system, and of flight software's TCP server."""

@@ -15,13 +15,12 @@ from edoras_tools.links.table import among
 from edoras_tools.units import MILLISECOND
 from edoras_tools.wire import ccsds
 from edoras_tools.wire import transfer_frames as headers
-from edoras_tools.wire.arrays import CRC16_BYTES, crc16
+from edoras_tools.wire.arrays import CRC16_BYTES, Integers, Mask, Places, crc16
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from edoras_tools.model import Columns, Link, PacketBatch
-    from edoras_tools.wire.arrays import Integers, Mask, Places
 
 _TOGETHER_NS: Final = 50 * MILLISECOND
 """Longest time to the next packet for the same TM or AOS frame; else the rest of the frame is idle."""

@@ -28,13 +28,11 @@ from edoras_tools.links import doors
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, LinkSending, Located, Seen
 from edoras_tools.model import Decoded, LayerField, PacketBatch, Transport
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays import copy_rows, gather
+from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, copy_rows, gather
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-    from edoras_tools.wire.arrays import Integers, Mask, Octets, Places
 
 
 BRIDGE_WEBSOCKET_PORT: Final = 8765

@@ -19,14 +19,13 @@ from edoras_tools.io.net.sockets import address_of, bind, local_endpoint, resolv
 from edoras_tools.io.net.transmit import ANSWER_WITHIN_S, SendStatistics, StreamTransmitter
 from edoras_tools.links.protocol import LinkSending, SendingSession
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays import gather
+from edoras_tools.wire.arrays import Integers, Mask, gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from edoras_tools.links.doors import Framing
     from edoras_tools.model import Columns, Endpoint, Link, PacketBatch
-    from edoras_tools.wire.arrays import Integers, Mask
 
 _REQUEST: Final = (
     "GET / HTTP/1.1\r\nHost: racs2\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"

@@ -30,7 +30,7 @@ from edoras_tools.io.topics.streams import OWN_TOPICS, QOS_METADATA, RecordedStr
 from edoras_tools.middleware.graph import Qos
 from edoras_tools.model import OTHER, Endpoint
 from edoras_tools.pipelines.bridge.plan import qos_of
-from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.pipelines.reading import Keys, Limits, reading
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedule, in_order
 from edoras_tools.pipelines.sending.responses import Responses
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.middleware import Graph
     from edoras_tools.mission import Mission
-    from edoras_tools.pipelines.reading import Keys
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
 

@@ -39,7 +39,7 @@ from edoras_tools.decode.filters.rows import (
 from edoras_tools.io.frames.frame_batch import order_behind, packets_behind
 from edoras_tools.io.topics.messages import APART, RECORD, Messages, whole_messages
 from edoras_tools.links.doors import MOST_ENDPOINTS, Endpoints, KnownSamples, Site, TopicSpace
-from edoras_tools.model import Columns, PacketBatch
+from edoras_tools.model import Columns, Decoded, PacketBatch
 from edoras_tools.sessions.ranges import MOST_RANGES, KnownRanges
 from edoras_tools.units import SECOND
 from edoras_tools.wire import arrays
@@ -50,7 +50,6 @@ from edoras_tools.words import listed, plural
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from edoras_tools.model import Decoded
     from edoras_tools.ros import TypeStore
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from edoras_tools import doors
 from edoras_tools.addons.rtps.reader import rtps_messages, topic_samples
 from edoras_tools.addons.rtps.samples import sample_message
-from edoras_tools.addons.rtps.wire import read_messages
+from edoras_tools.addons.rtps.wire import Announcement, read_messages
 from edoras_tools.errors import ConfigError, OnFailure, WireError
 from edoras_tools.io.net.sockets import SendResult
 from edoras_tools.io.net.transmit import SendStatistics
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.addons.rtps.wire import Announcement
     from edoras_tools.links.doors import Site
     from edoras_tools.wire.arrays import Integers, Mask, Octets
 

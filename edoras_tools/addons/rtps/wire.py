@@ -23,7 +23,7 @@ import numpy as np
 
 from edoras_tools.middleware.graph import ros_name
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays import gather
+from edoras_tools.wire.arrays import Integers, Mask, Octets, gather
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 PREFIX_BYTES: Final = 12
 ENTITY_BYTES: Final = 4

@@ -46,7 +46,7 @@ from edoras_tools.pipelines.doctor.scope import Chosen, Scope
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.ros.library import full_name
 from edoras_tools.units import MILLISECOND
-from edoras_tools.wire.arrays import MIX, by_value, matches, of_bytes
+from edoras_tools.wire.arrays import MIX, Integers, Mask, Places, by_value, matches, of_bytes
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
@@ -61,7 +61,6 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Progress
     from edoras_tools.ros import TypeStore
-    from edoras_tools.wire.arrays import Integers, Mask, Places
 
 _EARLY_NS: Final = MILLISECOND
 """Best accuracy of the alignment of two clocks."""

@@ -15,7 +15,7 @@ import math
 from statistics import NormalDist, fmean, variance
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from edoras_tools.addons.runs.check import TO_END
+from edoras_tools.addons.runs.check import TO_END, Figures
 from edoras_tools.addons.runs.expectations import LOSS_KEYS, Unit
 from edoras_tools.intervals import MEAN_CONFIDENCE, MeanInterval
 from edoras_tools.words import plural
@@ -23,7 +23,6 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from edoras_tools.addons.runs.check import Figures
     from edoras_tools.addons.runs.run import FieldValues
 
 _DIGITS: Final = 15

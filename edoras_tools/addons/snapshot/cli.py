@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from edoras_tools.addons.snapshot.sink import ask, listening, record_snapshots
 from edoras_tools.cli.output import finish, print_json, watcher
-from edoras_tools.pipelines.reading import Keys
+from edoras_tools.pipelines.reading import Keys, Limits
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from edoras_tools.cli.record import SnapshotOptions
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.record import Target
-    from edoras_tools.pipelines.reading import Limits
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
 

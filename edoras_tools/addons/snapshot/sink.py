@@ -42,7 +42,7 @@ from edoras_tools.io.formats.watched import Keep, OutputLoss, WatchedSink
 from edoras_tools.io.outputs import path_beside
 from edoras_tools.model import Columns, Finding, PacketBatch, SourceStatistics
 from edoras_tools.pipelines.capture.record import ROW_BYTES, CaptureReport, Target, compact, open_sink, pour
-from edoras_tools.pipelines.reading import Limits, reading
+from edoras_tools.pipelines.reading import Keys, Limits, reading
 from edoras_tools.render.severity import NOTABLE
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.words import plural
@@ -53,7 +53,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.cli.record import SnapshotOptions
     from edoras_tools.decode.context import Context
-    from edoras_tools.pipelines.reading import Keys
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher

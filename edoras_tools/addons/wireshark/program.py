@@ -34,7 +34,7 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcapng import PcapngSink
 from edoras_tools.io.outputs import write_files
 from edoras_tools.mission import Mission, load, loads
-from edoras_tools.model import NO_ROUTE, UNKNOWABLE, Finding
+from edoras_tools.model import NO_ROUTE, UNKNOWABLE, Finding, PacketBatch
 from edoras_tools.pipelines.reading import on_interrupt
 from edoras_tools.render.severity import EXPLANATIONS, Level
 from edoras_tools.ros import TypeStore
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.model import PacketBatch
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.structs.bindings import Bound
     from edoras_tools.structs.messages import StructLeaf

@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import msgspec
 import xxhash
 
-from edoras_tools.middleware.graph import dds_name, node_name
+from edoras_tools.middleware.graph import Qos, dds_name, node_name
 from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-    from edoras_tools.middleware.graph import Qos
 
 NO_TYPE_HASH: Final = "TypeHashNotSupported"
 """The type hash that rmw_zenoh writes in Humble, which has none."""

@@ -45,7 +45,7 @@ from edoras_tools.structs.bindings import Bound, Encoded, Held, payloads
 from edoras_tools.structs.messages import INLINED, aliased, field_name
 from edoras_tools.structs.shapes import PACKETS, UDP_KEY
 from edoras_tools.wire import ccsds, cfe, sbn
-from edoras_tools.wire.arrays import by_key, gather
+from edoras_tools.wire.arrays import Integers, Mask, Octets, by_key, gather
 from edoras_tools.wire.envelope import DEFAULT, ENCAPSULATION
 
 if TYPE_CHECKING:
@@ -55,7 +55,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.links.protocol import LinkProtocol
-    from edoras_tools.wire.arrays import Integers, Mask, Octets
     from edoras_tools.wire.ccsds import MsgIds
     from edoras_tools.wire.layout import Layout, Slot
 
@@ -355,8 +354,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.links.doors import KnownSamples
-    from edoras_tools.model import Decoded
-    from edoras_tools.wire.arrays import Integers, Mask
 
     Owned = tuple[Integers, MessageColumns]
     """Rows that hold messages, and the messages."""

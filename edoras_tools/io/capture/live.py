@@ -65,13 +65,12 @@ from edoras_tools.io.capture.device import (
 )
 from edoras_tools.io.capture.scapy_backend import ScapySource
 from edoras_tools.model import InterfaceOutage, SourceInfo
-from edoras_tools.wire.arrays import PADDING
+from edoras_tools.wire.arrays import PADDING, Octets
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from edoras_tools.io.frames.frame_batch import FrameBatch
-    from edoras_tools.wire.arrays import Octets
 
 _NUMBERS: Final = {"x86_64": 324, "aarch64": 283, "riscv64": 283, "armv7l": 389, "ppc64le": 365, "s390x": 356}
 """Number of the system call, by machine; the C library has no name for it."""

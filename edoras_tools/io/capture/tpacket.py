@@ -33,14 +33,13 @@ from edoras_tools.io.capture.bpf import ETHERNET, LINUX_SLL2
 from edoras_tools.io.frames.frame_batch import FrameBatch, internet_checksum, walk_records
 from edoras_tools.io.frames.linklayer import demux, network_headers
 from edoras_tools.model import Finding
-from edoras_tools.wire.arrays import PADDING, read_at
+from edoras_tools.wire.arrays import PADDING, Integers, Mask, Octets, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 _UDP: Final = 17
 _UDP_BYTES: Final = 8

@@ -23,7 +23,7 @@ from edoras_tools.io import Sink
 from edoras_tools.io.frames.linklayer import FrameSource
 from edoras_tools.io.outputs import OutputFile, output_name, part_path
 from edoras_tools.model import Columns, PacketBatch, SourceStatistics
-from edoras_tools.wire.arrays import PADDING
+from edoras_tools.wire.arrays import PADDING, Octets
 
 if TYPE_CHECKING:
     import io
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import RecordingOptions, Room
     from edoras_tools.io.frames.frame_batch import FrameBatch
-    from edoras_tools.wire.arrays import Octets
 
 FIRST = 256 << 10
 """Bytes of the first window: small, so that the first datagrams come at once."""

@@ -23,13 +23,13 @@ from edoras_tools.cfs.executive_services import MARKERS
 from edoras_tools.cfs.profile import SbnPeerConfig
 from edoras_tools.cfs.time_services import START_S
 from edoras_tools.errors import CaptureError, os_errors
-from edoras_tools.io.formats.capture_file import RecordSource
+from edoras_tools.io.formats.capture_file import RecordSource, Window
 from edoras_tools.io.frames.frame_batch import FrameBatch, FramePage, ends_of, walk_records
 from edoras_tools.links.table import STORED
 from edoras_tools.model import Endpoint, Peer, SourceInfo
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays import gather
+from edoras_tools.wire.arrays import Integers, Octets, Places, gather
 from edoras_tools.wire.cfe import (
     CFE_MAGIC,
     FILE_HEADER,
@@ -53,8 +53,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from edoras_tools.io.formats.capture_file import Window
-    from edoras_tools.wire.arrays import Integers, Octets, Places
     from edoras_tools.wire.layout import Layout
 
 _ENDS: Final = ends_of(Endpoint("0.0.0.0", 0), Endpoint("0.0.0.0", STORED.transport.ports[0]))  # noqa: S104

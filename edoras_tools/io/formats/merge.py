@@ -13,14 +13,13 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io import Source, SourceDefaults
 from edoras_tools.model import HostCounters, PacketBatch, SourceInfo, SourceStatistics, concatenate
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays import PADDING
+from edoras_tools.wire.arrays import PADDING, Integers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.links.doors import Framing
     from edoras_tools.sessions.faults.kinds import Fault
-    from edoras_tools.wire.arrays import Integers
 
 SEAM_NS: Final = 2 * SECOND
 """Longest time between the end of a file and the beginning of one that continues it."""

@@ -18,10 +18,11 @@ from edoras_tools.io.formats.capture_file import (
     SEARCHED,
     CaptureFileSink,
     RecordSource,
+    Window,
 )
 from edoras_tools.io.frames.frame_batch import FrameBatch, walk_records
 from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
-from edoras_tools.wire.arrays import copy_rows, put_rows, read_at
+from edoras_tools.wire.arrays import Integers, Mask, Octets, copy_rows, put_rows, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.io.formats.capture_file import Window
-    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 FILE_HEADER_BYTES = 24
 RECORD_HEADER_BYTES = 16

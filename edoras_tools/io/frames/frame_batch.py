@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from edoras_tools.wire.arrays import Integers
-
     _Successor = Callable[[Integers], Integers]
     """Returns the start of the record after each of some records."""
 

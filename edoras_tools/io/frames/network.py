@@ -14,12 +14,11 @@ from msgspec.structs import replace
 
 from edoras_tools.links.icmp import FORMS, LONGEST, QUOTED_UDP
 from edoras_tools.model import Finding, PacketBatch
-from edoras_tools.wire.arrays import gather, read_at, word_sums
+from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, gather, read_at, word_sums
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays import Integers, Mask, Octets, Places
     from edoras_tools.wire.layout import Layout
 
 _PROTOCOLS: Final = FORMS[0].protocol, FORMS[1].protocol

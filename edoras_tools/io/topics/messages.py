@@ -19,7 +19,7 @@ from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.ros.library import full_name
 from edoras_tools.structs.bindings import Held, payloads
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays import Integers, by_value, copy_rows, put_rows
+from edoras_tools.wire.arrays import Integers, Octets, by_value, copy_rows, put_rows
 from edoras_tools.wire.envelope import ENCAPSULATION
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission, Route
     from edoras_tools.ros import TypeStore
     from edoras_tools.structs import Structs
-    from edoras_tools.wire.arrays import Octets
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """The first and last bytes of a file."""

@@ -23,7 +23,7 @@ from msgspec.structs import replace
 
 from edoras_tools.diagnosis.evidence.copies import Repeats
 from edoras_tools.errors import ConfigError, EdorasError, os_errors
-from edoras_tools.io import RecordingOptions
+from edoras_tools.io import RecordingOptions, Sink, Source
 from edoras_tools.io.formats.capture_file import LISTENED, CaptureFileSink, SplitCaptureSink
 from edoras_tools.io.formats.table import FILE_SUFFIXES, MCAP, PCAP, PCAPNG, ROSBAG2, Format, written_as
 from edoras_tools.io.formats.watched import FileSink, Keep, OutputLoss, WatchedSink
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
-    from edoras_tools.io import Sink, Source
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher

@@ -27,7 +27,7 @@ from edoras_tools.errors import CaptureError, ConfigError, EdorasError
 from edoras_tools.io.capture.live import open_live
 from edoras_tools.io.outputs import to_write, write_files
 from edoras_tools.middleware import Graph, open_graph
-from edoras_tools.model import Endpoint, SourceInfo, SourceStatistics
+from edoras_tools.model import Columns, Decoded, Endpoint, PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.pipelines.bridge.plan import BridgeRequest, plan_bridges
 from edoras_tools.pipelines.bridge.run import Bridges
 from edoras_tools.pipelines.capture.record import CaptureReport, Target, check_output, record
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from edoras_tools.io import DisplaySink, Source
-    from edoras_tools.model import Columns, Decoded, PacketBatch
     from edoras_tools.render.terminal.text import Watcher
 
 ROUTER_PORT: Final = 7447

@@ -17,14 +17,14 @@ from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.addons.lab.emulator.cfs import routes_of
 from edoras_tools.addons.lab.emulator.source import SimulatedWire
 from edoras_tools.addons.lab.sweep import plan as packets
-from edoras_tools.addons.lab.sweep.plan import COMMAND_NS, Line, Observer, reset_filters
+from edoras_tools.addons.lab.sweep.plan import COMMAND_NS, Line, Mark, Observer, SweepPlan, reset_filters
 from edoras_tools.cfs import command_ingest, software_bus
 from edoras_tools.cfs.edoras_app import BRIDGE_BUFFER, BRIDGE_LENGTH_MODULUS, FLIGHT_BRIDGE_BUFFER
 from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
 from edoras_tools.cfs.queues import application_pipe
 from edoras_tools.diagnosis.accounting.losses import CI_SOCKETS
 from edoras_tools.diagnosis.verdict import Severity, Verdict
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.net.transmit import Wire, precise_timing
 from edoras_tools.links.bare import TO
 from edoras_tools.links.table import carrying
@@ -40,9 +40,7 @@ from edoras_tools.wire import cfe, sbn
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from edoras_tools.addons.lab.sweep.plan import Mark, SweepPlan
     from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.errors import EdorasError
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import Endpoint
     from edoras_tools.pipelines.workbench import Workbench

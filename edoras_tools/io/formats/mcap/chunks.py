@@ -39,12 +39,11 @@ from edoras_tools.io.formats.mcap.file import (
 )
 from edoras_tools.io.processes import InOrder, Workers
 from edoras_tools.io.topics.messages import Messages, within_rows
-from edoras_tools.wire.arrays import copy_rows, crc32, put_rows, spill_rows
+from edoras_tools.wire.arrays import Integers, Octets, copy_rows, crc32, put_rows, spill_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from edoras_tools.wire.arrays import Integers, Octets
 
 CHUNK_BYTES = 128 << 10
 """Uncompressed bytes of a full chunk; more by at most one message."""

@@ -21,7 +21,7 @@ from edoras_tools.io.formats.mcap.file import (
 )
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, parse, walk
 from edoras_tools.io.topics.messages import MAGIC, RECORD, RECORD_BYTES, RECORD_PREFIX_BYTES
-from edoras_tools.wire.arrays import read_at
+from edoras_tools.wire.arrays import Integers, Octets, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from mcap.summary import Summary
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays import Integers, Octets
 
 _BATCH_BYTES: Final = 4 << 20
 """Bytes up to which chunks are joined."""

@@ -47,7 +47,7 @@ from edoras_tools.io.topics.edoras import FAULTS_TOPIC, HOST_TOPIC, fault_of, ho
 from edoras_tools.links.table import links
 from edoras_tools.ros import TypeStore
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays import crc32, read_at
+from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, crc32, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
@@ -56,7 +56,6 @@ if TYPE_CHECKING:
 
     from edoras_tools.io import Choice
     from edoras_tools.sessions.faults.kinds import Fault
-    from edoras_tools.wire.arrays import Integers, Mask, Octets, Places
 
 T = TypeVar("T")
 

@@ -46,15 +46,13 @@ from edoras_tools.io.topics.messages import MAGIC
 from edoras_tools.mission.model import RecordedTopic
 from edoras_tools.mission.tree import printable
 from edoras_tools.model import RECORDED, HostCounters, PacketBatch, SourceInfo, SourceStatistics
-from edoras_tools.wire.arrays import PADDING, copy_rows, gather
+from edoras_tools.wire.arrays import PADDING, Integers, Octets, copy_rows, gather
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from mcap.summary import Summary
     from numpy.typing import NDArray
-
-    from edoras_tools.wire.arrays import Integers, Octets
 
 
 class FolderSource(MergedSource):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from edoras_tools.addons.lab.emulator import messages
-from edoras_tools.addons.lab.emulator.cfs import EMULATOR_VERSION, Cfs
+from edoras_tools.addons.lab.emulator.cfs import EMULATOR_VERSION, Cfs, SystemRoutes
 from edoras_tools.addons.lab.emulator.messages import FixedStruct, command_length, whole_packet
 from edoras_tools.addons.lab.emulator.scheduler import Receive, SleepUntil, Work
 from edoras_tools.addons.lab.emulator.services.applications import CORE, CoreApp
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from edoras_tools.addons.lab.emulator.bridges import Robot
-    from edoras_tools.addons.lab.emulator.cfs import SystemRoutes
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.addons.lab.emulator.services.software_bus import Pipe
 

@@ -36,7 +36,7 @@ from edoras_tools.io.topics.messages import OPCODE_MESSAGE, RECORD, RECORD_BYTES
 from edoras_tools.io.topics.streams import Streams
 from edoras_tools.mission import Mission
 from edoras_tools.ros import TypeStore
-from edoras_tools.wire.arrays import copy_rows, crc32, read_at
+from edoras_tools.wire.arrays import Integers, Mask, Octets, copy_rows, crc32, read_at
 
 if TYPE_CHECKING:
     import re
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 _HEAD: Final = np.dtype(RECORD)
 _CHANNEL_AT: Final = RECORD_HEAD.size

@@ -39,7 +39,7 @@ from edoras_tools.io.formats.mcap.file import (
     ChunkHead,
     chunk_head,
 )
-from edoras_tools.io.formats.mcap.recovery.records import Entries, FileBytes, Walked, parse, walk
+from edoras_tools.io.formats.mcap.recovery.records import Definitions, Entries, FileBytes, Walked, parse, walk
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.io.topics.messages import MAGIC
 from edoras_tools.mission.tree import printable
@@ -49,7 +49,6 @@ from edoras_tools.wire.arrays import crc32
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from edoras_tools.io.formats.mcap.recovery.records import Definitions
 
 _FOOTER: Final = re.compile(re.escape(b"\x02\x14" + bytes(7)))
 _DATA_END: Final = re.compile(re.escape(b"\x0f\x04" + bytes(7)))
