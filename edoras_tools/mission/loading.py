@@ -16,6 +16,7 @@ from edoras_tools import doors
 from edoras_tools.cfs.profile import constant_names
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import link_of_label, links
+from edoras_tools.mission import tree
 from edoras_tools.mission.bridges import (
     find_bridges,
     is_transfer,
@@ -26,17 +27,6 @@ from edoras_tools.mission.bridges import (
     warn_of_unknown,
 )
 from edoras_tools.mission.model import FlightSoftware, FramedPort, Mission
-from edoras_tools.mission.tree import (
-    LARGEST_FILE,
-    Fields,
-    Mistakes,
-    NodeParameters,
-    printable,
-    read_nodes,
-    read_scalar,
-    suggestion,
-    yaml_text,
-)
 from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 from edoras_tools.wire.cfe import HIGHEST_MSG_ID, MissionTime
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FrameFormat
@@ -114,7 +104,7 @@ def read_file(path: str | os.PathLike[str]) -> bytes | str:
     """Return a file's bytes, or as text the reason why it cannot be read."""
     try:
         with Path(path).open("rb") as file:
-            return file.read(LARGEST_FILE + 1)
+            return file.read(tree.LARGEST_FILE + 1)
     except FileNotFoundError:
         return "no such file; give the YAML file of a bridge"
     except (OSError, ValueError) as error:
@@ -154,7 +144,7 @@ class _Loading:
         self.files: dict[str, bytes] = {}
         self.arguments: Any = None
         self._check_type, self._msg_ids = check_type, msg_ids
-        self._reports: list[Mistakes] = []
+        self._reports: list[tree.Mistakes] = []
         self._claims: Claims = {}
         self._ports: dict[int, str] = {}
         self._links: list[GroundLink | FlightLink | TransferLink] = []
@@ -175,7 +165,7 @@ class _Loading:
             of_folder: whether the file was found in a folder: then a file without a bridge only gets a
                 warning.
         """
-        report = Mistakes(name)
+        report = tree.Mistakes(name)
         self._reports.append(report)
         if of_folder and isinstance(content, bytes) and _PARAMETERS not in content:
             report.warn(0, "", "left out: not a parameter file of ROS 2")
@@ -196,7 +186,7 @@ class _Loading:
                 if bridge.link not in self._links:
                     self._links.append(bridge.link)
 
-    def _add_others(self, nodes: Sequence[NodeParameters], report: Mistakes) -> bool:
+    def _add_others(self, nodes: Sequence[tree.NodeParameters], report: tree.Mistakes) -> bool:
         """Read the nodes that are no bridges; return whether there are any."""
         for node in nodes:
             if is_transfer(node):
@@ -235,11 +225,11 @@ class _Loading:
         spacecraft = tuple((name, address) for address, name in self._spacecraft.items())
         return replace(mission, spacecraft=spacecraft).of(1)
 
-    def _nodes(self, text: str | None, report: Mistakes) -> list[NodeParameters]:
-        nodes = [] if text is None else read_nodes(text, report)
+    def _nodes(self, text: str | None, report: tree.Mistakes) -> list[tree.NodeParameters]:
+        nodes = [] if text is None else tree.read_nodes(text, report)
         return self.arguments.applied(nodes, report) if self.arguments else nodes
 
-    def _add_transfer(self, node: NodeParameters, report: Mistakes) -> None:
+    def _add_transfer(self, node: tree.NodeParameters, report: tree.Mistakes) -> None:
         self._pdus += read_pdu_msg_ids(node, report)
         self._topics += read_stored(node, self._check_type)
         link = read_transfer(node, report)
@@ -252,11 +242,11 @@ def _in_order(messages: Iterable[list[tuple[int, str]]]) -> list[str]:
     return list(dict.fromkeys(text for lines in messages for _, text in sorted(lines, key=itemgetter(0))))
 
 
-def _text(content: bytes | str, report: Mistakes) -> str | None:
+def _text(content: bytes | str, report: tree.Mistakes) -> str | None:
     if isinstance(content, str):
         report.mistake(0, "", content)
         return None
-    return yaml_text(content, report, "give the YAML file of a bridge")
+    return tree.yaml_text(content, report, "give the YAML file of a bridge")
 
 
 def _free_name(name: str, used: Mapping[str, bytes]) -> str:
@@ -279,7 +269,9 @@ _OWN_KEYS: Final = {
 }
 
 
-def read_framed_ports(node: NodeParameters, report: Mistakes, owners: dict[int, str]) -> Iterator[FramedPort]:
+def read_framed_ports(
+    node: tree.NodeParameters, report: tree.Mistakes, owners: dict[int, str]
+) -> Iterator[FramedPort]:
     """Yield the ports of one node's ``frames`` that have no mistake; mistakes go to ``report``.
 
     Args:
@@ -287,7 +279,7 @@ def read_framed_ports(node: NodeParameters, report: Mistakes, owners: dict[int, 
         report: report of its file.
         owners: name of each port, over all files; this call adds to it.
     """
-    fields = Fields(node, report)
+    fields = tree.Fields(node, report)
     names = sorted(
         (name.partition(".")[2] for name in node.groups if name.startswith(f"{FRAMES_GROUP}.")),
         key=lambda name: node.lines[f"{FRAMES_GROUP}.{name}"],
@@ -306,7 +298,7 @@ def read_framed_ports(node: NodeParameters, report: Mistakes, owners: dict[int, 
         yield entry
 
 
-def _framed_port(fields: Fields, name: str) -> FramedPort | None:
+def _framed_port(fields: tree.Fields, name: str) -> FramedPort | None:
     group = f"{FRAMES_GROUP}.{name}"
     before = len(fields.report.mistakes)
     port = fields.integer(f"{group}.port", 1, 0xFFFF)
@@ -344,7 +336,7 @@ SPACECRAFT_GROUP: Final = "spacecraft"
 _CRAFT_NAME: Final = re.compile("[A-Za-z][A-Za-z0-9_]*")
 
 
-def read_spacecraft(node: NodeParameters, report: Mistakes, owners: dict[str, str]) -> None:
+def read_spacecraft(node: tree.NodeParameters, report: tree.Mistakes, owners: dict[str, str]) -> None:
     """Read the spacecraft of a node; mistakes go to ``report``.
 
     Args:
@@ -352,7 +344,7 @@ def read_spacecraft(node: NodeParameters, report: Mistakes, owners: dict[str, st
         report: report of its file.
         owners: name of each address, over all files; this call adds to it.
     """
-    fields = Fields(node, report)
+    fields = tree.Fields(node, report)
     for name in node.children(SPACECRAFT_GROUP):
         place, needed = f"{SPACECRAFT_GROUP}.{name}", "an IP address is needed, as 10.0.0.2"
         if not _CRAFT_NAME.fullmatch(name) or name in owners.values():
@@ -362,7 +354,7 @@ def read_spacecraft(node: NodeParameters, report: Mistakes, owners: dict[str, st
             address = str(ipaddress.ip_address(text))
         except ValueError:
             if text:
-                fields.mistake(place, f'"{printable(text)}" is none; {needed}')
+                fields.mistake(place, f'"{tree.printable(text)}" is none; {needed}')
             continue
         if owners.setdefault(address, name) != name:
             fields.mistake(place, f"{address} is the address of {owners[address]} already")
@@ -377,7 +369,7 @@ _CFS_HEADERS: Final = {"extended_header": None, "telemetry_header": (12, 16), "m
 """Keys of the packet format, as in ``decode.Options``: None for a flag, else the allowed numbers."""
 
 
-def read_flight_software(node: NodeParameters, report: Mistakes, msg_ids: MsgIds) -> FlightSoftware:
+def read_flight_software(node: tree.NodeParameters, report: tree.Mistakes, msg_ids: MsgIds) -> FlightSoftware:
     """Read the ``cfs`` group of a node; mistakes go to ``report``.
 
     Args:
@@ -385,7 +377,7 @@ def read_flight_software(node: NodeParameters, report: Mistakes, msg_ids: MsgIds
         report: report of its file.
         msg_ids: version of the MsgIds in the file.
     """
-    fields, whole = Fields(node, report), constant_names()
+    fields, whole = tree.Fields(node, report), constant_names()
     names = (*whole, _CFS_LIMITS, _CFS_PORTS, _CFS_TIME, *_CFS_HEADERS)
     constants: dict[str, int] = {}
     headers: dict[str, Any] = {}
@@ -407,10 +399,12 @@ def read_flight_software(node: NodeParameters, report: Mistakes, msg_ids: MsgIds
         elif name in whole:
             constants[name] = fields.integer(place, 0) or 0
         else:
-            fields.mistake(place, f"not known; {suggestion(name, names)}edoras help decoding lists constants")
+            fields.mistake(
+                place, f"not known; {tree.suggestion(name, names)}edoras help decoding lists constants"
+            )
     limits: dict[int, int] = {}
     for name in node.children(f"{CFS_GROUP}.{_CFS_LIMITS}"):
-        place, msg_id = f"{CFS_GROUP}.{_CFS_LIMITS}.{name}", read_scalar(name)
+        place, msg_id = f"{CFS_GROUP}.{_CFS_LIMITS}.{name}", tree.read_scalar(name)
         limit = fields.integer(place, 0, 0xFF)
         if type(msg_id) is not int or not 0 < msg_id <= HIGHEST_MSG_ID:
             fields.mistake(place, "not a MsgId; write 0x0827: 4")

@@ -12,16 +12,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from edoras_tools.errors import ConfigError, EdorasError, RouteError
+from edoras_tools.ros import library
 from edoras_tools.ros.cdr.plan import ROUNDING, CdrPlan, Compiler
 from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES, ValueSpan, Writer, decode, value_spans
-from edoras_tools.ros.library import (
-    Definition,
-    Library,
-    MessageField,
-    complete_text,
-    full_name,
-    with_used,
-)
 from edoras_tools.wire.arrays import Integers, Mask, Octets, by_key
 
 if TYPE_CHECKING:
@@ -62,7 +55,7 @@ class TypeStore:
         definitions: Mapping[str, str] | None = None,
     ) -> None:
         self.distro = distro
-        self._library = Library(distro, msg_paths, definitions or {})
+        self._library = library.Library(distro, msg_paths, definitions or {})
         self._compiler = Compiler(self._definition)
         self._writers = tuple(Writer(self._definition, big_endian=big) for big in (False, True))
         self._plans: dict[str, tuple[str, CdrPlan]] = {}
@@ -95,17 +88,17 @@ class TypeStore:
 
     def definition(self, type_name: str) -> str:
         """Return a type's ``ros2msg`` text with the types that it uses, as in an MCAP schema."""
-        return complete_text(self.definitions(type_name))
+        return library.complete_text(self.definitions(type_name))
 
-    def definitions(self, type_name: str) -> tuple[Definition, ...]:
+    def definitions(self, type_name: str) -> tuple[library.Definition, ...]:
         """Return a type's definition, then the definitions of all types that it uses, each once."""
         self.plan(type_name)
-        return with_used(full_name(type_name), self._definition)
+        return library.with_used(library.full_name(type_name), self._definition)
 
-    def fields(self, type_name: str) -> tuple[MessageField, ...]:
+    def fields(self, type_name: str) -> tuple[library.MessageField, ...]:
         """Return a type's fields, in wire order; a field of another type stays one field of that type."""
         self.plan(type_name)
-        return self._definition(full_name(type_name)).fields
+        return self._definition(library.full_name(type_name)).fields
 
     def decode(self, type_name: str, cdr: bytes) -> dict[str, Any]:
         """Return a message as plain values: dicts, lists, int, float, bool, str.
@@ -204,11 +197,11 @@ class TypeStore:
         """
         entry = self._plans.get(type_name)
         if entry is None:
-            name = full_name(type_name)
+            name = library.full_name(type_name)
             entry = self._plans[type_name] = name, self._compiler.plan(name)
         return entry
 
-    def _definition(self, name: str) -> Definition:
+    def _definition(self, name: str) -> library.Definition:
         definition = self._library.find(name)
         if definition is None:
             near = " or ".join(self.nearest(name))

@@ -23,17 +23,9 @@ import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError
+from edoras_tools.ros import library
 from edoras_tools.ros.cdr.plan import WIDE_UNIT
 from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES
-from edoras_tools.ros.library import (
-    PLACEHOLDER,
-    PRIMITIVES,
-    STRINGS,
-    Definition,
-    MessageField,
-    Shape,
-    full_name,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -184,7 +176,7 @@ class CMember(msgspec.Struct, frozen=True):
         message: type of a nested message.
     """
 
-    ros: MessageField
+    ros: library.MessageField
     name: str
     elements: int
     characters: int
@@ -193,7 +185,7 @@ class CMember(msgspec.Struct, frozen=True):
     @property
     def is_sequence(self) -> bool:
         """Whether a count comes first."""
-        return self.ros.shape is Shape.SEQUENCE
+        return self.ros.shape is library.Shape.SEQUENCE
 
     @property
     def kind(self) -> str:
@@ -212,7 +204,7 @@ class Message(msgspec.Struct, frozen=True, dict=True):
         most_trailing: maximum number of bytes that writers of ROS 2 may leave behind the last field.
     """
 
-    definition: Definition
+    definition: library.Definition
     members: tuple[CMember, ...]
     most_trailing: int
 
@@ -313,7 +305,7 @@ def plan_messages(types: TypeStore, type_names: Iterable[str], bounds: Bounds) -
     return CLibrary(tuple(messages.values()), tuple(messages[name] for name in names))
 
 
-def _ordered(definitions: dict[str, Definition]) -> list[str]:
+def _ordered(definitions: dict[str, library.Definition]) -> list[str]:
     """Return the types, package by package, each after all types nested in it."""
     graph = {
         name: sorted({field.type for field in item.fields if "/" in field.type})
@@ -333,7 +325,9 @@ def _ordered(definitions: dict[str, Definition]) -> list[str]:
     return sorted(TopologicalSorter(graph).static_order(), key=lambda name: ranks[packages[name]])
 
 
-def _members(definition: Definition, bounds: Bounds, messages: dict[str, Message]) -> tuple[CMember, ...]:
+def _members(
+    definition: library.Definition, bounds: Bounds, messages: dict[str, Message]
+) -> tuple[CMember, ...]:
     owner, names = definition.name, {item.name for item in definition.fields}
     members = tuple(
         CMember(
@@ -347,8 +341,8 @@ def _members(definition: Definition, bounds: Bounds, messages: dict[str, Message
     )
     for member in members:
         _check_default(owner, member)
-    placeholder = MessageField(PLACEHOLDER, "uint8")
-    return members or (CMember(placeholder, PLACEHOLDER, 0, 0, None),)
+    placeholder = library.MessageField(library.PLACEHOLDER, "uint8")
+    return members or (CMember(placeholder, library.PLACEHOLDER, 0, 0, None),)
 
 
 def _check_default(owner: str, member: CMember) -> None:
@@ -379,13 +373,13 @@ def _matrix(member: CMember) -> Integers:
     """Return the matrix of a field's longest CDR."""
     if member.message:
         one = member.message.matrix
-    elif member.ros.type in STRINGS:
+    elif member.ros.type in library.STRINGS:
         narrow = member.ros.type == "string"
         unit = aligned(1 if narrow else WIDE_UNIT)
         most = member.characters + narrow
         one = then(aligned(4), up_to(unit, most))
     else:
-        one = aligned(struct.calcsize("<" + PRIMITIVES[member.ros.type]))
+        one = aligned(struct.calcsize("<" + library.PRIMITIVES[member.ros.type]))
     if member.is_sequence:
         return then(aligned(4), up_to(one, member.elements))
     return times(one, member.elements) if member.elements else one
@@ -429,7 +423,7 @@ class BoundRule(msgspec.Struct, frozen=True):
                 f"--bound: {text!r} is not TYPE.FIELD=MOST with MOST from 1 to {_LARGEST_BOUND}; "
                 "write sensor_msgs/msg/JointState.name=16, or .name[]=20 for the strings in it"
             )
-        return cls(text, full_name(match["type"]), match["field"], match["each"] is not None, most)
+        return cls(text, library.full_name(match["type"]), match["field"], match["each"] is not None, most)
 
 
 class Bounds(msgspec.Struct, frozen=True):
@@ -445,17 +439,17 @@ class Bounds(msgspec.Struct, frozen=True):
     sequences: int = SEQUENCES_DEFAULT
     rules: tuple[BoundRule, ...] = ()
 
-    def elements(self, owner: str, item: MessageField) -> int:
+    def elements(self, owner: str, item: library.MessageField) -> int:
         """Return the elements of an array, or the maximum of a sequence; 0 for a single value."""
-        if item.shape is not Shape.SEQUENCE:
+        if item.shape is not library.Shape.SEQUENCE:
             return item.size
         return self._rule(owner, item.name, each=False) or item.size or self.sequences
 
-    def characters(self, owner: str, item: MessageField) -> int:
+    def characters(self, owner: str, item: library.MessageField) -> int:
         """Return the maximum characters of a string, or of each one in an array or sequence; else 0."""
-        if item.type not in STRINGS:
+        if item.type not in library.STRINGS:
             return 0
-        each = item.shape is not Shape.SCALAR
+        each = item.shape is not library.Shape.SCALAR
         return self._rule(owner, item.name, each=each) or item.string_bound or self.strings
 
     def _rule(self, owner: str, field: str, *, each: bool) -> int:
@@ -463,7 +457,7 @@ class Bounds(msgspec.Struct, frozen=True):
         key = owner, field, each
         return next((rule.most for rule in self.rules[::-1] if (rule.type, rule.field, rule.each) == key), 0)
 
-    def check(self, definitions: Iterable[Definition]) -> None:
+    def check(self, definitions: Iterable[library.Definition]) -> None:
         """Check that every rule names an existing field, and may bound it.
 
         Raises:
@@ -480,16 +474,16 @@ class Bounds(msgspec.Struct, frozen=True):
             raise ConfigError(*mistakes)
 
 
-def _refusal(rule: BoundRule, item: MessageField | None, *, type_known: bool) -> str:
+def _refusal(rule: BoundRule, item: library.MessageField | None, *, type_known: bool) -> str:
     """Return the reason why a rule cannot be applied; empty if it can."""
     if item is None:
         return (
             f"{rule.type} has no field {rule.field}" if type_known else f"{rule.type} is in none of the types"
         )
-    is_text, is_many = item.type in STRINGS, item.shape is not Shape.SCALAR
+    is_text, is_many = item.type in library.STRINGS, item.shape is not library.Shape.SCALAR
     if rule.each and not (is_text and is_many):
         return f"{item.type_text} holds no strings; write {rule.type}.{rule.field}={rule.most}"
-    if not rule.each and item.shape is Shape.ARRAY:
+    if not rule.each and item.shape is library.Shape.ARRAY:
         return f"{item.type_text} always holds {item.size} elements"
     if not rule.each and not is_many and not is_text:
         return f"{item.type_text} takes no bound"

@@ -36,19 +36,8 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from edoras_tools.addons.dds import domain as dds_domain
+from edoras_tools.addons.dds import endpoints
 from edoras_tools.addons.dds.domain import configuration, hold, release
-from edoras_tools.addons.dds.endpoints import (
-    ANY_STATE,
-    BLOCKING_MS,
-    CountedWriter,
-    DdsTypes,
-    TopicReaders,
-    acknowledged,
-    padded,
-    room_of,
-    trimmed,
-    writer_of,
-)
 from edoras_tools.errors import ConfigError, WireError
 from edoras_tools.middleware import graph
 from edoras_tools.middleware.graph import TopicState, check_name, dds_name, node_name, ros_name
@@ -392,7 +381,7 @@ class Session:
 
     def _await(self, reader: Any) -> ReadCondition:
         """Let the wait set report the samples of a reader."""
-        ready = self._own(ReadCondition(reader, ANY_STATE))
+        ready = self._own(ReadCondition(reader, endpoints.ANY_STATE))
         self._waitset.attach(ready)
         return ready
 
@@ -448,7 +437,7 @@ def reader_qos(qos: graph.Qos, user_data: bytes = b"") -> Qos:
 
 def _common(qos: graph.Qos) -> tuple[Any, ...]:
     return (
-        Policy.Reliability.Reliable(duration(milliseconds=BLOCKING_MS))
+        Policy.Reliability.Reliable(duration(milliseconds=endpoints.BLOCKING_MS))
         if qos.reliable
         else Policy.Reliability.BestEffort,
         Policy.Durability.TransientLocal if qos.transient_local else Policy.Durability.Volatile,
@@ -488,10 +477,10 @@ class DdsGraph(Session):
     def __init__(self, types: TypeStore, node: tuple[str, str], domain: int, config: str) -> None:
         self._types = types
         self._node = node
-        self._made = DdsTypes(types)
+        self._made = endpoints.DdsTypes(types)
         self._told: set[str] = set()
-        self._subscriptions: list[TopicReaders] = []
-        self._publications: list[CountedWriter] = []
+        self._subscriptions: list[endpoints.TopicReaders] = []
+        self._publications: list[endpoints.CountedWriter] = []
         self._conditions: dict[DataReader[Any], ReadCondition] = {}
         self._changed = self._settled = False
         self._topics: dict[str, Topic[Any]] = {}
@@ -513,7 +502,9 @@ class DdsGraph(Session):
                 return self._reader(topic, type_name, on, request)
 
             try:
-                subscription = TopicReaders(topic, type_name, qos, heard, make, partial(self._drop, topic))
+                subscription = endpoints.TopicReaders(
+                    topic, type_name, qos, heard, make, partial(self._drop, topic)
+                )
                 offers = self._peers.writers[f"rt{topic}"].values()
                 subscription.follow(offers, self._offer_of, settled=self._settled)
                 self._subscriptions.append(subscription)
@@ -528,7 +519,7 @@ class DdsGraph(Session):
         """
         with self._lock:
             on = self._topic(topic, type_name)
-            room = room_of(qos, self._types.fixed_size(type_name))
+            room = endpoints.room_of(qos, self._types.fixed_size(type_name))
             policies = writer_qos(qos, self._user_data(type_name), room)
             try:
                 writer = self._own(DataWriter(self._publisher, on, policies))
@@ -536,7 +527,9 @@ class DdsGraph(Session):
                 raise ConfigError(f"{topic}: cannot be published on: {error}") from error
             self._writers.append((topic, writer))
             self._types_of[topic] = type_name
-            self._publications.append(CountedWriter(topic, type_name, qos, room, writer, self._types))
+            self._publications.append(
+                endpoints.CountedWriter(topic, type_name, qos, room, writer, self._types)
+            )
             self._announce()
         write, closed = self._publications[-1].publish, self._closed
 
@@ -566,7 +559,7 @@ class DdsGraph(Session):
 
     def acknowledged(self) -> bool:
         """Return whether reliable subscribers have acknowledged everything published."""
-        return all(acknowledged(writer) for _, writer in self._writers)
+        return all(endpoints.acknowledged(writer) for _, writer in self._writers)
 
     def dropped(self) -> int:
         """See ``Graph``: the drops of all nodes of this domain in this process."""
@@ -624,11 +617,11 @@ class DdsGraph(Session):
         self._gid_bytes = gid_bytes
         types = self._presence_types = presence_types(gid_bytes)
         name = PRESENCE_TYPE
-        on = self._own(Topic(self._participant, PRESENCE_TOPIC, DdsTypes(types).of(name)))
+        on = self._own(Topic(self._participant, PRESENCE_TOPIC, endpoints.DdsTypes(types).of(name)))
         qos = writer_qos(QOS, user_data(type_hash(types, name)))
         writer = self._own(DataWriter(self._publisher, on, qos))
         self._presence = [writer, on]
-        self._tell = writer_of(writer)
+        self._tell = endpoints.writer_of(writer)
         self._announce()
 
     def _announce(self) -> None:
@@ -638,7 +631,7 @@ class DdsGraph(Session):
         )
         guid = self._participant.guid.bytes
         message = presence(self._presence_types, self._node, guid, readers, writers)
-        self._tell(padded(message))
+        self._tell(endpoints.padded(message))
 
     def _hash(self, type_name: str) -> str:
         """Return the hash of a type, computed once."""
@@ -683,10 +676,10 @@ class DdsGraph(Session):
                 for item, cdr in leftover:
                     if self._closed.is_set():
                         return
-                    item.heard(trimmed(self._types, item.type_name, cdr))
+                    item.heard(endpoints.trimmed(self._types, item.type_name, cdr))
                 leftover.clear()
 
-    def _follow(self) -> list[tuple[TopicReaders, bytes]]:
+    def _follow(self) -> list[tuple[endpoints.TopicReaders, bytes]]:
         """Make the readers that the topics' publishers need; return the messages left in deleted readers."""
         with self._lock:
             if self._closed.is_set() or not (self._peers.update() or self._changed):

@@ -6,15 +6,7 @@ from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from edoras_tools.addons.lab.emulator.apps import generator
-from edoras_tools.addons.lab.emulator.apps.core import (
-    SCHEDULER,
-    EdorasApp,
-    SingleRobotApp,
-    TwoRobotApp,
-    start_core,
-    start_scheduler,
-)
+from edoras_tools.addons.lab.emulator.apps import core, generator
 from edoras_tools.addons.lab.emulator.apps.generator import Generator
 from edoras_tools.addons.lab.emulator.apps.ground_apps import CommandIngest, TelemetryOutput
 from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnApp
@@ -42,7 +34,7 @@ class Apps:
         edoras: the EDORAS application.
     """
 
-    def __init__(self, cfs: Cfs, edoras: EdorasApp) -> None:
+    def __init__(self, cfs: Cfs, edoras: core.EdorasApp) -> None:
         self.sbn: SbnApp
         self.ci: CommandIngest
         self.edoras = edoras
@@ -52,14 +44,14 @@ class Apps:
 
     def _start(self) -> None:
         cfs = self._cfs
-        start_core(cfs)
+        core.start_core(cfs)
         for name, file, begin in (
             (sbn.NAME, "sbn", self._sbn),
             (command_ingest.NAME, "ci_lab", self._ci),
             (telemetry_output.NAME, "to_lab", lambda: TelemetryOutput(cfs, self.edoras.telemetry)),
             (edoras_app.NAME, "edoras_app", lambda: self.edoras.start(cfs)),
             *[(generator.NAME, "edoras_gen", lambda: Generator(cfs))] * bool(cfs.profile.generator_msg_id),
-            (SCHEDULER, "sch_lab", lambda: start_scheduler(cfs, self.edoras)),
+            (core.SCHEDULER, "sch_lab", lambda: core.start_scheduler(cfs, self.edoras)),
         ):
             cfs.executive.load(name, f"/cf/{file}.so", begin)
 
@@ -240,11 +232,11 @@ _STRUCT_BYTES: Final[Mapping[str, tuple[int, ...]]] = {
 """Sizes of the structs of the demos' applications, bytes: those of states, and of commands to the robots."""
 
 
-def _application(routes: SystemRoutes, scenario: str, now: int) -> EdorasApp:
+def _application(routes: SystemRoutes, scenario: str, now: int) -> core.EdorasApp:
     sizes = _STRUCT_BYTES.get(scenario, ())
     if routes.flight:
-        return TwoRobotApp(routes, *sizes)
+        return core.TwoRobotApp(routes, *sizes)
     command, state = (
         routes.types[items[0]] if items else "" for items in (routes.commands, routes.telemetry)
     )
-    return SingleRobotApp(robot_of(command, state, routes.store, now=now), routes, *sizes)
+    return core.SingleRobotApp(robot_of(command, state, routes.store, now=now), routes, *sizes)

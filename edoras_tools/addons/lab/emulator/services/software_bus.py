@@ -9,18 +9,8 @@ import msgspec
 
 from edoras_tools.addons.lab.emulator.account import ArrivalAccount, Fifo
 from edoras_tools.addons.lab.emulator.services.events import Event
+from edoras_tools.cfs import software_bus
 from edoras_tools.cfs.queues import QueueEnd
-from edoras_tools.cfs.software_bus import (
-    BAD_ARGUMENT,
-    EVENTS,
-    INVALID_MSG_ID,
-    MSG_LIMIT,
-    MSG_TOO_BIG,
-    NO_SUBSCRIBERS,
-    PIPE_OVERFLOW,
-    SUCCESS,
-    TOO_BIG,
-)
 from edoras_tools.errors import ConfigError
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.wire import ccsds, cfe
@@ -71,7 +61,7 @@ class Publication(msgspec.Struct, frozen=True):
     packet: bytes
     delivered: tuple[Pipe, ...] = ()
     events: tuple[Event, ...] = ()
-    status: int = SUCCESS
+    status: int = software_bus.SUCCESS
 
 
 class SoftwareBus:
@@ -152,18 +142,20 @@ class SoftwareBus:
         msg_id, size = msg_id_of(packet), length_of(packet)
         if not 0 < msg_id <= cfe.HIGHEST_MSG_ID:
             self.counters.send_errors += 1
-            event = _event(INVALID_MSG_ID, msg_id=msg_id, sender=sender)
-            return Publication(packet, events=(event,), status=BAD_ARGUMENT)
+            event = _event(software_bus.INVALID_MSG_ID, msg_id=msg_id, sender=sender)
+            return Publication(packet, events=(event,), status=software_bus.BAD_ARGUMENT)
         if size > self.profile.bus_max_bytes:
             self.counters.send_errors += 1
             most = self.profile.bus_max_bytes
-            event = _event(MSG_TOO_BIG, msg_id=msg_id, sender=sender, size=size, most=most)
-            return Publication(packet, events=(event,), status=TOO_BIG)
+            event = _event(software_bus.MSG_TOO_BIG, msg_id=msg_id, sender=sender, size=size, most=most)
+            return Publication(packet, events=(event,), status=software_bus.TOO_BIG)
         route = self._routes.get(msg_id)
         if route is None:
             self.counters.no_subscribers += 1
             self._account.note(HOP, msg_id, QueueEnd.CLOSED)
-            return Publication(packet, events=(_event(NO_SUBSCRIBERS, msg_id=msg_id, sender=sender),))
+            return Publication(
+                packet, events=(_event(software_bus.NO_SUBSCRIBERS, msg_id=msg_id, sender=sender),)
+            )
         if stamp:
             count = self._sequence[msg_id] = (self._sequence[msg_id] + 1) % MODULUS
             packet = _with_sequence_count(packet, count)
@@ -178,7 +170,7 @@ class SoftwareBus:
             over_limit = outcome is QueueEnd.MSG_LIMIT
             self.counters.msg_limits += over_limit
             self.counters.pipe_overflows += not over_limit
-            reason = MSG_LIMIT if over_limit else PIPE_OVERFLOW
+            reason = software_bus.MSG_LIMIT if over_limit else software_bus.PIPE_OVERFLOW
             events.append(_event(reason, msg_id=msg_id, pipe=pipe.name, sender=sender))
             self.losses[msg_id, pipe.name] += 1
         if not route:
@@ -203,7 +195,7 @@ class SoftwareBus:
 
 
 def _event(event_id: int, **values: object) -> Event:
-    return Event.of(EVENTS[event_id], **values)
+    return Event.of(software_bus.EVENTS[event_id], **values)
 
 
 def _with_sequence_count(packet: bytes, count: int) -> bytes:

@@ -23,15 +23,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from edoras_tools.errors import CaptureError, RouteError
-from edoras_tools.io.formats.mcap.file import (
-    INDEX_ENTRY,
-    MESSAGE_HEAD,
-    RECORD_HEAD,
-    ChunkMessages,
-    McapFile,
-    MessageIndex,
-    record_bytes,
-)
+from edoras_tools.io.formats.mcap import file
 from edoras_tools.io.topics.messages import OPCODE_MESSAGE, RECORD, RECORD_BYTES
 from edoras_tools.io.topics.streams import Streams
 from edoras_tools.mission import Mission
@@ -47,7 +39,7 @@ if TYPE_CHECKING:
 
 
 _HEAD: Final = np.dtype(RECORD)
-_CHANNEL_AT: Final = RECORD_HEAD.size
+_CHANNEL_AT: Final = file.RECORD_HEAD.size
 """Position of the channel's id in a Message record, u16."""
 Entries = dict[int, "NDArray[np.void]"]
 """Contents of a message index: log times and offsets of each channel's messages, ``INDEX_ENTRY``."""
@@ -97,7 +89,7 @@ class Walked(msgspec.Struct, frozen=True):
         """Return for each message whether an index contains it, with channel, log time and position."""
         indexed = np.empty(sum(map(len, entries.values())), _ENTRY)
         indexed["channel"] = np.repeat([*entries], [len(item) for item in entries.values()])
-        for name in INDEX_ENTRY.names or ():
+        for name in file.INDEX_ENTRY.names or ():
             indexed[name] = np.concatenate([np.zeros(0, "<u8"), *(item[name] for item in entries.values())])
         mine = np.empty(len(self), _ENTRY)
         mine["channel"], mine["log_time"], mine["offset"] = self.channel, self.log_time, self.start
@@ -107,9 +99,9 @@ class Walked(msgspec.Struct, frozen=True):
         wide = f"V{_ENTRY.itemsize}"
         return np.isin(mine.view(wide), indexed.view(wide))
 
-    def index(self) -> ChunkMessages:
+    def index(self) -> file.ChunkMessages:
         """Return the message index, as one chunk."""
-        index = MessageIndex()
+        index = file.MessageIndex()
         if len(self):
             index.add(self.channel, self.log_time, self.start)
         return index.divide(len(self.data), len(self.data) or 1)
@@ -129,7 +121,7 @@ class Walked(msgspec.Struct, frozen=True):
         return Walked(data, channel, self.log_time, starts, ends, [], [], len(data))
 
 
-_ENTRY: Final = np.dtype([("channel", "<u2"), *INDEX_ENTRY.descr])
+_ENTRY: Final = np.dtype([("channel", "<u2"), *file.INDEX_ENTRY.descr])
 
 
 def walk(raw: bytes | memoryview, entries: Entries | None = None) -> Walked:
@@ -158,10 +150,10 @@ def _at(data: Octets, starts: Integers) -> Walked | None:
     if (
         (heads["opcode"] != OPCODE_MESSAGE).any()
         or (length > len(data)).any()
-        or (length < MESSAGE_HEAD.size).any()
+        or (length < file.MESSAGE_HEAD.size).any()
     ):
         return None
-    ends = starts + length.astype(np.int64) + RECORD_HEAD.size
+    ends = starts + length.astype(np.int64) + file.RECORD_HEAD.size
     befores = np.concatenate([[0], ends])
     afters = np.concatenate([starts, [len(data)]])
     if (befores > afters).any():
@@ -184,13 +176,13 @@ def _one_by_one(data: Octets) -> Walked:
     others: list[Any] = []
     places: list[int] = []
     place = 0
-    while place + RECORD_HEAD.size <= len(data):
-        opcode, length = RECORD_HEAD.unpack_from(view, place)
-        start, end = place + RECORD_HEAD.size, place + RECORD_HEAD.size + length
+    while place + file.RECORD_HEAD.size <= len(data):
+        opcode, length = file.RECORD_HEAD.unpack_from(view, place)
+        start, end = place + file.RECORD_HEAD.size, place + file.RECORD_HEAD.size + length
         if end > len(data) or opcode == 0:
             break
-        if opcode == Opcode.MESSAGE and length >= MESSAGE_HEAD.size:
-            channel_id, _, log_time, _ = MESSAGE_HEAD.unpack_from(view, start)
+        if opcode == Opcode.MESSAGE and length >= file.MESSAGE_HEAD.size:
+            channel_id, _, log_time, _ = file.MESSAGE_HEAD.unpack_from(view, start)
             rows.extend((channel_id, log_time, place, end))
         else:
             record = parse(opcode, bytes(view[start:end]))
@@ -280,11 +272,11 @@ class FileBytes(AbstractContextManager["FileBytes"]):
 
     def prefix(self, place: int) -> tuple[int, int, int] | None:
         """Return opcode, start and end of the content of the record at ``place``, complete or not."""
-        prefix = self.read(place, place + RECORD_HEAD.size) if place >= 0 else b""
-        if len(prefix) < RECORD_HEAD.size:
+        prefix = self.read(place, place + file.RECORD_HEAD.size) if place >= 0 else b""
+        if len(prefix) < file.RECORD_HEAD.size:
             return None
-        opcode, length = RECORD_HEAD.unpack(prefix)
-        return opcode, place + RECORD_HEAD.size, place + RECORD_HEAD.size + length
+        opcode, length = file.RECORD_HEAD.unpack(prefix)
+        return opcode, place + file.RECORD_HEAD.size, place + file.RECORD_HEAD.size + length
 
     def find(self, pattern: re.Pattern[bytes], start: int, end: int) -> Iterator[int]:
         """Yield every position from ``start`` up to ``end`` where a short pattern matches."""
@@ -459,7 +451,7 @@ class Numbering:
         topics: topic of each channel, by number.
     """
 
-    def __init__(self, out: McapFile | None) -> None:
+    def __init__(self, out: file.McapFile | None) -> None:
         self._out = out
         self._numbers: dict[Hashable, int] = {}
         self._records: dict[RecordId, Schema | Channel] = {}
@@ -535,7 +527,7 @@ class Numbering:
         else:
             self._out.summary.channels[record.id] = record
         if not inside:
-            self._out.add_bytes(record_bytes(record))
+            self._out.add_bytes(file.record_bytes(record))
 
 
 def renumbered(message: bytes, channel_id: int) -> bytes:
