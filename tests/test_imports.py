@@ -42,7 +42,7 @@ PUT_OFF = {
         "tempfile zstandard",
         "only for recordings from a pipe or packed, and for captures inside zstd data",
     ),
-    "io/topics/edoras.py": ("edoras_tools.sessions.faults.kinds", "2 ms, and only where faults are read"),
+    "io/topics/edoras.py": ("edoras_tools.sessions.faults.rules", "2 ms, and only where faults are read"),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
     "decode/columns.py": ("edoras_tools.decode.recorded", "10 ms, and only for recorded topics"),
     "decode/filters/rows.py": (
@@ -79,7 +79,7 @@ PUT_OFF = {
         "rosbags",
         "15 ms, and only for .idl files and to make the table of standard messages anew",
     ),
-    "sessions/faults/bytes.py": ("hashlib", "20 ms, and only where there are faults"),
+    "sessions/faults/effects.py": ("hashlib", "20 ms, and only where there are faults"),
     "addons/debug_info/dwarf.py": ("elftools", "an extra"),
     "structs/files.py": ("ruamel", "14 ms, and only for layouts that are files"),
     "structs/table.py": ("edoras_tools", "20 ms, when the first packet holds a struct"),

@@ -178,7 +178,7 @@ ADDONS: Final = (
                 "partition": "partition:export_by_recording",
                 "arrow_tables": "arrow",
                 "recordings": "partition:read_recordings",
-                "performance_trace": "trace:export_trace",
+                "performance_trace": "partition:export_trace",
             }
         },
         extra="analysis",

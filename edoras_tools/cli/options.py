@@ -283,7 +283,7 @@ def time_zone(text: str) -> tuple[tzinfo | None]:
 
 def share(text: str) -> float:
     """Read a share: ``1%`` or ``0.01``."""
-    from edoras_tools.sessions.faults.kinds import probability
+    from edoras_tools.sessions.faults.rules import probability
 
     try:
         return probability(text)

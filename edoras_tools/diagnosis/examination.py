@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.decode import Context
     from edoras_tools.decode.conversations import Conversations, Flow, Unnamed
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
 
     _Figures = Mapping[str, Callable[[Any, Any], Any]]
 

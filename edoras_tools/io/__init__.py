@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.links.doors import Endpoints, Framing
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
     from edoras_tools.sessions.sequence import SequenceCounts
     from edoras_tools.structs import Structs
     from edoras_tools.wire.arrays import Integers, Mask, Octets

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import HostCounters, PacketBatch
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
     from edoras_tools.wire.arrays import Integers
 
 _LEAST: Final = 3

@@ -38,9 +38,15 @@ from edoras_tools.mission.tree import (
     suggestion,
 )
 from edoras_tools.model import Datagram, Endpoint, Link
-from edoras_tools.sessions.faults.kinds import FAULT_KINDS, PROFILES
 from edoras_tools.sessions.faults.machine import FaultPlan
-from edoras_tools.sessions.faults.rules import Rule, make_rule, parse_profile, parse_rule
+from edoras_tools.sessions.faults.rules import (
+    FAULT_KINDS,
+    PROFILES,
+    Rule,
+    make_rule,
+    parse_profile,
+    parse_rule,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.buffer import DatagramBuffer
     from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
     from edoras_tools.wire.arrays import Integers
 
 PAGE_BYTES: Final = 2 << 20

@@ -32,7 +32,7 @@ from edoras_tools.model import Endpoint, HostCounters, Peer, SocketCounters
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
-from edoras_tools.sessions.faults.kinds import Fault
+from edoras_tools.sessions.faults.rules import Fault
 from edoras_tools.wire import cfe, envelope, sbn
 from tests.support.balance import adds_up, wrong_rows
 

@@ -20,7 +20,7 @@ from edoras_tools.older import StrEnum
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from edoras_tools.addons.archive.questions import ArchiveSpan
+    from edoras_tools.addons.archive.page import ArchiveSpan
 
 
 class _Archive(Group):
@@ -100,7 +100,7 @@ class SpanOptions(NamedTuple):
         Raises:
             ConfigError: a time has no date.
         """
-        from edoras_tools.addons.archive.questions import ArchiveSpan
+        from edoras_tools.addons.archive.page import ArchiveSpan
         from edoras_tools.older import UTC
 
         moments: list[int | None] = []
@@ -165,7 +165,7 @@ def index_captures(
 def list_(*, index: Index = _INDEX, printing: RowOptions, dates: SpanOptions) -> None:
     """List the captures of the index: when, how many datagrams, what was lost, which are not whole."""
     from edoras_tools.addons.archive.index import open_index
-    from edoras_tools.addons.archive.questions import list_captures
+    from edoras_tools.addons.archive.page import list_captures
 
     with open_index(index) as opened:
         rows = list_captures(opened, dates.span())
@@ -189,7 +189,7 @@ def losses(
     Exit code 3: something is listed.
     """
     from edoras_tools.addons.archive.index import open_index
-    from edoras_tools.addons.archive.questions import count_examined, list_losses
+    from edoras_tools.addons.archive.page import count_examined, list_losses
 
     with open_index(index) as opened:
         span, topics = dates.span(), tuple(topic or ())
@@ -256,8 +256,7 @@ def report(
 ) -> None:
     """Write one HTML page: runs over time, trends of losses and latencies, the worst of both."""
     from edoras_tools.addons.archive.index import open_index
-    from edoras_tools.addons.archive.page import archive_page
-    from edoras_tools.addons.archive.questions import trends_of
+    from edoras_tools.addons.archive.page import archive_page, trends_of
     from edoras_tools.io.outputs import check_new
     from edoras_tools.render.pages import Made
 

@@ -59,7 +59,7 @@ from edoras_tools.pipelines.sending.options import Receiver, SendOptions, receiv
 from edoras_tools.pipelines.sending.replay import ReplaySelection, changes_for, load_datagrams
 from edoras_tools.pipelines.sending.run import SentRecording, Transmission
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
-from edoras_tools.sessions.faults.kinds import hertz, natural, probability, time_ns
+from edoras_tools.sessions.faults.rules import hertz, natural, probability, time_ns
 from edoras_tools.units import SECOND
 from edoras_tools.words import did_you_mean
 

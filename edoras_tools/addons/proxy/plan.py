@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
 
     Send = Callable[[NDArray[np.int64]], None]
 

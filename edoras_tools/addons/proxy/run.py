@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.render.terminal.text import Watcher
-    from edoras_tools.sessions.faults.kinds import Fault
     from edoras_tools.sessions.faults.machine import Predicate
+    from edoras_tools.sessions.faults.rules import Fault
 
 _TURNS: Final = 4
 """Times that a busy socket is read before the others are read."""

@@ -514,7 +514,7 @@ class RacsBridgeLink(LinkProtocol):
 
     def topics(self, space: doors.TopicSpace) -> doors.OwnTopics:
         """Return the maker of the link's messages; its code is loaded with the first."""
-        return self.part("topics:BridgeTopics")(space)
+        return self.part("sending:BridgeTopics")(space)
 
     def summary(self, decoded: Decoded) -> str:
         """Return the destination of the message and its content."""

@@ -54,7 +54,7 @@ from edoras_tools.mission.tree import (
 )
 from edoras_tools.model import Finding
 from edoras_tools.render import units
-from edoras_tools.sessions.faults.kinds import time_ns
+from edoras_tools.sessions.faults.rules import time_ns
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 

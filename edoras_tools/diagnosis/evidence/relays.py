@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.model import Endpoint
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
     from edoras_tools.wire.arrays import Integers, Mask, Places, Prints
 
 

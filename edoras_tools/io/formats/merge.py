@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from edoras_tools.links.doors import Framing
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
 
 SEAM_NS: Final = 2 * SECOND
 """Longest time between the end of a file and the beginning of one that continues it."""

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceStatistics
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
 
 _LOOK_S: Final = 1.0
 

@@ -268,8 +268,8 @@ class Demux:
         return by_time([batch, messages])
 
     def _messages(self, frames: FrameBatch, old: int, *, final: bool) -> PacketBatch:
+        from edoras_tools.io.frames.network import read_segments
         from edoras_tools.io.frames.tcp import StreamReassembler
-        from edoras_tools.io.frames.tcp_segments import read_segments
 
         if self._streams is None:
             self._streams = StreamReassembler(self.framings)

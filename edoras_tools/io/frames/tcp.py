@@ -32,7 +32,7 @@ import msgspec
 import numpy as np
 
 from edoras_tools.io.frames.frame_batch import walk_records
-from edoras_tools.io.frames.tcp_segments import SegmentBytes, Segments, rebuilt
+from edoras_tools.io.frames.network import SegmentBytes, Segments, rebuilt
 from edoras_tools.links.doors import NOT_A_MESSAGE, NOT_YET, Framing, StreamState
 from edoras_tools.model import Finding, PacketBatch
 from edoras_tools.wire.arrays import (

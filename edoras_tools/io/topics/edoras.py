@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import InterfaceOutage
     from edoras_tools.ros import TypeStore
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
     from edoras_tools.structs import Structs
     from edoras_tools.wire.layout import Layout
 
@@ -81,7 +81,7 @@ def fault_of(cdr: bytes) -> Fault:
     Raises:
         WireError: the message is not one of these.
     """
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
 
     body = cdr[4:]
     try:

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.sending.responses import Responses
     from edoras_tools.render.terminal.text import Watcher
-    from edoras_tools.sessions.faults.kinds import Fault
     from edoras_tools.sessions.faults.machine import Delivery, FaultMachine
+    from edoras_tools.sessions.faults.rules import Fault
 
 _MOST_NAMED: Final = 4
 _ONE_REPORT_NS: Final = 4300 * MILLISECOND

@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.reading import Keys
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.terminal.text import Watcher
-    from edoras_tools.sessions.faults.kinds import Fault
     from edoras_tools.sessions.faults.machine import FaultMachine
+    from edoras_tools.sessions.faults.rules import Fault
     from edoras_tools.sessions.outgoing import Changes, Outgoing
     from edoras_tools.sessions.pacing import Timetable
     from edoras_tools.wire.ccsds import MsgIds

@@ -1,26 +1,186 @@
 """The tree of one packet: layers, fields, the bytes of each field, and faults; and the packet in full.
 
 In full, tree and bytes stand side by side where the terminal is wide enough.
+
+The bytes are coloured by layer, with one range highlighted.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import islice, zip_longest
+from itertools import groupby, islice, zip_longest
 from typing import Any, Final, Literal, NamedTuple
 
 from edoras_tools.decode.lines import line_of
 from edoras_tools.decode.recorded import recorded_topic
+from edoras_tools.errors import ConfigError
 from edoras_tools.io.frames.linklayer import checksum_fault
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Layer, LayerField
 from edoras_tools.render import units
-from edoras_tools.render.capture import hexdump
 from edoras_tools.render.severity import EXPLANATIONS, Explanation, Level, ranked
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.terminal import FILE_WIDTH
 from edoras_tools.render.terminal.text import ELLIPSIS, cells, clean, clip, fit, fit_right, plain_cells, wrap
 from edoras_tools.words import plural
+
+Base = Literal["payload", "frame"]
+DUMP_WIDTH: Final = 75
+"""Cells of one line with 16 bytes."""
+_ASCII: Final = "".join(chr(octet) if 32 <= octet < 127 else "·" for octet in range(256))
+
+
+class Region(NamedTuple):
+    """Bytes that belong together.
+
+    Attributes:
+        name: name of the layer.
+        start: first byte, from the start of the dump.
+        end: one past the last byte.
+        style: rich style.
+    """
+
+    name: str
+    start: int
+    end: int
+    style: str
+
+
+def regions(decoded: Decoded, base: Base = "payload") -> list[Region]:
+    """Return the layers of a packet as regions of its payload or its frame, later ones over earlier ones.
+
+    A frame that holds only one fragment of the payload has no regions.
+    """
+    datagram = decoded.datagram
+    shift = 0 if base == "payload" else datagram.payload_offset
+    if shift < 0:
+        return []
+    out = [Region("headers", 0, shift, palette.layer("frame"))] if shift else []
+    styles = palette.layers(layer.name for layer in decoded.layers)
+    for layer in decoded.layers:
+        style = styles[layer.name]
+        if out and out[-1].name == layer.name and out[-1].end == layer.start + shift:
+            out[-1] = Region(layer.name, out[-1].start, layer.end + shift, style)
+        else:
+            out.append(Region(layer.name, layer.start + shift, layer.end + shift, style))
+    return out
+
+
+def choose(decoded: Decoded, name: str) -> tuple[int, int]:
+    """Return the bytes, from the start of the payload, that a layer or ``LAYER.FIELD`` was read from.
+
+    Args:
+        name: name such as ``edoras``, ``ccsds.apid`` or ``ros.pose.position``; a group stands for all its
+            fields.
+
+    Raises:
+        ConfigError: the packet has no layer or field of that name.
+    """
+    owner, _, field = name.partition(".")
+    layer = decoded.layer(owner)
+    if layer is None:
+        existing = ", ".join(dict.fromkeys(item.name for item in decoded.layers)) or "no layers"
+        raise ConfigError(f"packet {decoded.datagram.number} has no layer {owner!r}; there are {existing}")
+    if not field:
+        return layer.start, layer.end
+    fields = [item for item in layer.fields if item.name == field or item.name.startswith(f"{field}.")]
+    if not fields:
+        existing = ", ".join(item.name for item in layer.fields) or "no fields"
+        raise ConfigError(
+            f"layer {owner} of packet {decoded.datagram.number} has no field {field!r}; there are {existing}"
+        )
+    return min(item.start for item in fields), max(item.end for item in fields)
+
+
+def dump_lines(
+    data: bytes,
+    coloured: Sequence[Region],
+    width: int,
+    paint: palette.Paint,
+    *,
+    highlight: tuple[int, int] | None = None,
+) -> list[str]:
+    """Return a dump of bytes: offset, hex, ASCII.
+
+    Args:
+        data: the bytes.
+        coloured: regions to colour; later ones cover earlier ones.
+        width: cells that no line exceeds; from ``DUMP_WIDTH`` on 16 bytes a line, else 8.
+        highlight: first byte and one past the last of the highlighted range: in reverse, or in brackets
+            without colour.
+    """
+    per_line = 16 if width >= DUMP_WIDTH else 8
+    styles = [palette.DIM] * len(data)
+    for item in coloured:
+        for at in range(max(0, item.start), min(len(data), item.end)):
+            styles[at] = item.style
+    first, last = highlight or (0, 0)
+    if paint.colour:
+        for at in range(max(0, first), min(len(data), last)):
+            styles[at] = f"{styles[at]} {palette.CHOSEN}".removeprefix(f"{palette.DIM} ")
+    rows = _Rows(data, styles, per_line, paint, (-1, -1) if paint.colour or first >= last else (first, last))
+    return [rows.line(at) for at in range(0, len(data), per_line)]
+
+
+def legend(coloured: Sequence[Region], width: int, paint: palette.Paint) -> list[str]:
+    """Return a legend of the layers in their colours, as lines of at most ``width`` cells."""
+    out: list[str] = []
+    used = width
+    for item in (item for item in coloured if item.end > item.start):
+        label = clip(f"■ {clean(item.name)} {item.start}-{item.end - 1}", width)
+        if used + 3 + cells(label) > width:
+            out.append("")
+            used = 0
+        out[-1] += ("   " if used else "") + paint(label, item.style)
+        used += (3 if used else 0) + cells(label)
+    return out
+
+
+class _Rows(NamedTuple):
+    """Draws the lines of one dump.
+
+    Attributes:
+        data: the bytes.
+        styles: style of each byte.
+        per_line: bytes in one line.
+        paint: painter, with or without colour.
+        brackets: first byte and one past the last of the range in brackets.
+    """
+
+    data: bytes
+    styles: Sequence[str]
+    per_line: int
+    paint: palette.Paint
+    brackets: tuple[int, int]
+
+    def line(self, at: int) -> str:
+        """Return the line that begins with byte ``at``."""
+        end = min(at + self.per_line, len(self.data))
+        octets = text = ""
+        for style, run in groupby(range(at, end), key=self.styles.__getitem__):
+            places = list(run)
+            # The space in front of a run stays plain, so that only the chosen bytes are reversed.
+            octets += self._gap(at, places[0]) + self.paint(
+                self._hex(places[0])
+                + "".join(self._gap(at, place) + self._hex(place) for place in places[1:]),
+                style,
+            )
+            text += self.paint("".join(_ASCII[self.data[place]] for place in places), style)
+        missing = self.per_line - (end - at)
+        octets += "]" if end == self.brackets[1] else " "
+        octets += " " * (3 * missing + (1 if self.per_line == 16 and missing >= 8 else 0))
+        digits = 4 if len(self.data) <= 0x10000 else 6
+        return f"{self.paint(f'{at:0{digits}x}', palette.DIM)} {octets} {text}"
+
+    def _hex(self, place: int) -> str:
+        return f"{self.data[place]:02x}"
+
+    def _gap(self, at: int, place: int) -> str:
+        # A bracket that closes at the end of a line stands there, not at the start of the next.
+        closes = place == self.brackets[1] and place > at
+        bracket = "[" if place == self.brackets[0] else "]" if closes else " "
+        return " " + bracket if self.per_line == 16 and place - at == 8 else bracket
+
 
 _MOST_ITEMS: Final = 64
 _MOST_BYTES: Final = 32
@@ -272,7 +432,7 @@ _GAP: Final = 3
 
 
 def packet_lines(
-    decoded: Decoded, width: int, *, colour: bool, highlight: str = "", base: hexdump.Base = "payload"
+    decoded: Decoded, width: int, *, colour: bool, highlight: str = "", base: Base = "payload"
 ) -> list[str]:
     """Return a packet's tree, its bytes, and the legend of their layers.
 
@@ -288,27 +448,25 @@ def packet_lines(
     paint = palette.Paint(colour)
     if width < SIDE_BY_SIDE:
         return [*tree_lines(decoded, width, paint), "", *_bytes(decoded, width, paint, highlight, base)]
-    room = width - hexdump.DUMP_WIDTH - _GAP
+    room = width - DUMP_WIDTH - _GAP
     tree_part = tree_lines(decoded, room, paint)
     if width >= FILE_WIDTH:
         room = max(map(plain_cells, tree_part))
-    right = _bytes(decoded, hexdump.DUMP_WIDTH, paint, highlight, base)
+    right = _bytes(decoded, DUMP_WIDTH, paint, highlight, base)
     return [
         f"{a}{' ' * (room + _GAP - plain_cells(a))}{b}" if b else a
         for a, b in zip_longest(tree_part, right, fillvalue="")
     ]
 
 
-def _bytes(
-    decoded: Decoded, width: int, paint: palette.Paint, highlight: str, base: hexdump.Base
-) -> list[str]:
+def _bytes(decoded: Decoded, width: int, paint: palette.Paint, highlight: str, base: Base) -> list[str]:
     datagram = decoded.datagram
     data = datagram.payload if base == "payload" else datagram.frame
-    coloured = hexdump.regions(decoded, base)
+    coloured = regions(decoded, base)
     span = None
     if highlight:
         shift = 0 if base == "payload" else datagram.payload_offset
-        start, end = hexdump.choose(decoded, highlight)
+        start, end = choose(decoded, highlight)
         # A payload reassembled from fragments is not in a single frame.
         span = (start + shift, end + shift) if shift >= 0 else None
     content = "TCP message" if datagram.stream else "UDP payload"
@@ -319,6 +477,6 @@ def _bytes(
     head = paint(f"{title}, {len(data):,} bytes{pointed}", palette.STRONG)
     return [
         head,
-        *hexdump.dump_lines(data, coloured, width, paint, highlight=span),
-        *hexdump.legend(coloured, width, paint),
+        *dump_lines(data, coloured, width, paint, highlight=span),
+        *legend(coloured, width, paint),
     ]

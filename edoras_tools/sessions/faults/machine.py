@@ -26,9 +26,19 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import NO_MSG_ID, Link
-from edoras_tools.sessions.faults.bytes import Chance, draw, draws, key_of, packet_offset, threshold
-from edoras_tools.sessions.faults.effects import Effect, Pending, Received, effect_of
-from edoras_tools.sessions.faults.kinds import Fault
+from edoras_tools.sessions.faults.effects import (
+    Chance,
+    Effect,
+    Pending,
+    Received,
+    draw,
+    draws,
+    effect_of,
+    key_of,
+    packet_offset,
+    threshold,
+)
+from edoras_tools.sessions.faults.rules import Fault
 from edoras_tools.wire import ccsds, sbn
 from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, MsgIds
 from edoras_tools.wire.cfe import STANDARD, Headers

@@ -9,7 +9,7 @@ from streams import write_segments
 
 from edoras_tools.addons.foxglove.server.server import ServerOptions
 from edoras_tools.addons.foxglove.server.sink import FoxgloveSink
-from edoras_tools.addons.racs2 import topics as racs2
+from edoras_tools.addons.racs2 import sending as racs2
 from edoras_tools.errors import RouteError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.model import Endpoint

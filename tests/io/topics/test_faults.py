@@ -12,7 +12,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Mission
 from edoras_tools.model import NO_MSG_ID, SourceInfo, SourceStatistics
 from edoras_tools.ros import TypeStore
-from edoras_tools.sessions.faults.kinds import Fault
+from edoras_tools.sessions.faults.rules import Fault
 
 NOON = 1_700_000_000_123_456_789
 FAULTS = [

@@ -19,7 +19,7 @@ from edoras_tools.pipelines.sending.loop import Sending, SendReport, SendSchedul
 from edoras_tools.pipelines.sending.responses import Responses
 from edoras_tools.pipelines.sending.run import SentRecording
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.sessions.faults.kinds import Fault
+from edoras_tools.sessions.faults.rules import Fault
 from edoras_tools.sessions.outgoing import Outgoing, Packet
 from edoras_tools.sessions.pacing import Pacing
 from edoras_tools.wire import cfe

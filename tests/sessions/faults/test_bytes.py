@@ -9,7 +9,7 @@ from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Mission, Route
 from edoras_tools.model import Datagram, Endpoint, Finding, Peer
-from edoras_tools.sessions.faults.bytes import CONTENT, Chance, Struck, packet_offset
+from edoras_tools.sessions.faults.effects import CONTENT, Chance, Struck, packet_offset
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import parse_rule
 from edoras_tools.wire import cfe, envelope, sbn

@@ -10,9 +10,8 @@ from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_MSG_ID, Peer
 from edoras_tools.sessions.faults import machine as module
-from edoras_tools.sessions.faults.kinds import FAULT_KINDS, PROFILES
 from edoras_tools.sessions.faults.machine import HEAD_BYTES, FaultPlan
-from edoras_tools.sessions.faults.rules import parse_profile, parse_rule
+from edoras_tools.sessions.faults.rules import FAULT_KINDS, PROFILES, parse_profile, parse_rule
 from edoras_tools.wire import cfe, envelope, sbn
 
 MS = 1_000_000

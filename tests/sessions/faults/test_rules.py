@@ -7,16 +7,19 @@ from hypothesis import strategies as st
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.bare import CI
 from edoras_tools.links.sbn import SBN
-from edoras_tools.sessions.faults.kinds import (
+from edoras_tools.sessions.faults.rules import (
+    COMMON,
     FAULT_KINDS,
     NumberChange,
+    Schedule,
     bits_per_second,
     change,
+    parse_profile,
+    parse_rule,
     probability,
     time_ns,
     volume,
 )
-from edoras_tools.sessions.faults.rules import COMMON, Schedule, parse_profile, parse_rule
 
 GOOD = {
     "drop:0.1": ("drop", {}, {"probability": 0.1}),

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from edoras_tools.decode import Context
     from edoras_tools.mission import Mission
     from edoras_tools.ros import TypeStore
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
 
 
 DIAGNOSTICS: Final = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")

@@ -12,12 +12,12 @@ from textual.message import Message
 from textual.strip import Strip
 
 from edoras_tools.addons.tui.lists.lines import Lines
-from edoras_tools.render.capture import hexdump
+from edoras_tools.render.capture import tree
 from edoras_tools.render.terminal import palette
 
 if TYPE_CHECKING:
     from edoras_tools.model import Decoded
-    from edoras_tools.render.capture.hexdump import Base
+    from edoras_tools.render.capture.tree import Base
 
 WIDE: Final = 72
 """Cells of a line with 16 bytes."""
@@ -71,7 +71,7 @@ class HexPane(Lines):
             b"" if datagram is None else datagram.payload if self.base == "payload" else datagram.frame
         )
         self._styles = [palette.DIM] * len(self._data)
-        for region in hexdump.regions(decoded, self.base) if decoded else ():
+        for region in tree.regions(decoded, self.base) if decoded else ():
             for place in range(max(0, region.start), min(len(self._data), region.end)):
                 self._styles[place] = region.style
         self.at = min(self.at, max(0, len(self._data) - 1))

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io import Choice
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
 
 T = TypeVar("T")
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics
     from edoras_tools.ros import TypeStore
-    from edoras_tools.sessions.faults.kinds import Fault
+    from edoras_tools.sessions.faults.rules import Fault
 
 METADATA_NAME = "edoras"
 """The metadata record of a complete recording."""

@@ -38,7 +38,7 @@ from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.reading import reading, selected_rows
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
-from edoras_tools.sessions.faults.kinds import Fault
+from edoras_tools.sessions.faults.rules import Fault
 
 ANY = ServerOptions(Endpoint("127.0.0.1", 0))
 LAST = 1
