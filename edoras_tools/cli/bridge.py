@@ -147,7 +147,7 @@ def bridge(
             print_view(lambda width: view.plan(planned, way, output, width))
         return
     from edoras_tools.pipelines.bridge.run import Bridges
-    from edoras_tools.render.terminal.terminal import detect_terminal
+    from edoras_tools.render.terminal.palette import detect_terminal
 
     confirm_targets(*(station.target for station in plan.stations), confirmed=running.yes)
 

@@ -49,7 +49,7 @@ def decode(
         print_json(as_json(decoded))
         return
     from edoras_tools.render.capture import tree
-    from edoras_tools.render.terminal.terminal import detect_terminal
+    from edoras_tools.render.terminal.palette import detect_terminal
 
     terminal = detect_terminal(sys.stdout)
     lines = tree.packet_lines(

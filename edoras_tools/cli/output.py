@@ -50,7 +50,7 @@ def watcher(
     if not live:
         return file_progress([source.info.name], quiet=False)
     from edoras_tools.render.capture.info import live_table
-    from edoras_tools.render.terminal.terminal import error_console
+    from edoras_tools.render.terminal.palette import error_console
 
     title = f"{source.info.name} → {output}" if output else source.info.name
     return live_table(title, error_console(), output)
@@ -122,7 +122,7 @@ def print_view(view: RenderableType | Callable[[int], RenderableType], *, is_who
     Args:
         is_whole: whether its lines are already wrapped; longer ones are for pasting, and stay whole.
     """
-    from edoras_tools.render.terminal.terminal import output_console
+    from edoras_tools.render.terminal.palette import output_console
 
     console = output_console()
     console.print(view(console.width) if callable(view) else view, soft_wrap=is_whole)
@@ -130,8 +130,8 @@ def print_view(view: RenderableType | Callable[[int], RenderableType], *, is_who
 
 def file_progress(names: Iterable[object], *, quiet: bool) -> FileProgress:
     """Return the progress bar for reading and judging the named files."""
+    from edoras_tools.render.terminal.palette import error_console
     from edoras_tools.render.terminal.progress import FileProgress
-    from edoras_tools.render.terminal.terminal import error_console
 
     return FileProgress(", ".join(map(str, names)), console=error_console(), quiet=quiet)
 

@@ -131,7 +131,7 @@ def run_relay(
         try:
             begin()
             if table is not None:
-                from edoras_tools.render.terminal.terminal import error_console
+                from edoras_tools.render.terminal.palette import error_console
 
                 if keyboard:
                     from edoras_tools.pipelines.reading import Keys
@@ -162,7 +162,7 @@ def finish_relay(
         EdorasError: it ended early.
         typer.Exit: with code 3, if anything was lost.
     """
-    from edoras_tools.render.terminal.terminal import error_console
+    from edoras_tools.render.terminal.palette import error_console
     from edoras_tools.render.terminal.text import clean
 
     summary, recorder, (json, quiet) = relay.summary(), relay.recorder, printing

@@ -288,7 +288,7 @@ def _goal(
 def _print(summary: dict[str, Any], target: str = "") -> None:
     """Print the plan; or, with a target, the result."""
     from edoras_tools.render.sending import replay as view
-    from edoras_tools.render.terminal.terminal import error_console
+    from edoras_tools.render.terminal.palette import error_console
 
     if target:
         error_console().print(view.outcome(summary, target))

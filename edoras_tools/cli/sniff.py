@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from edoras_tools.model import Decoded
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.capture.packet_list import PacketList
-    from edoras_tools.render.terminal.terminal import Terminal
+    from edoras_tools.render.terminal.palette import Terminal
 
 
 class FieldFormat(StrEnum):
@@ -162,7 +162,7 @@ def print_fields(
     from edoras_tools.decode.filters.filter import fields
     from edoras_tools.pipelines.capture.sniff import column_texts, is_number
     from edoras_tools.render.capture.packet_list import ColumnLines
-    from edoras_tools.render.terminal.terminal import detect_terminal
+    from edoras_tools.render.terminal.palette import detect_terminal
     from edoras_tools.render.terminal.text import clean
 
     columns = fields(text, bench.columns.context)
@@ -249,7 +249,7 @@ def print_statistics(
         read.end()
         return totals.ledger.datagrams
     from edoras_tools.render.capture.info import statistics
-    from edoras_tools.render.terminal.terminal import output_console
+    from edoras_tools.render.terminal.palette import output_console
 
     console = output_console()
     for index, kind in enumerate(kinds):
@@ -284,7 +284,7 @@ def sniff(
     from edoras_tools.render.capture.packet_list import COLUMNS, LEAST_WITH_TYPE, MESSAGE_COLUMNS, PacketList
     from edoras_tools.render.capture.watch import Followed
     from edoras_tools.render.severity import NOTABLE
-    from edoras_tools.render.terminal.terminal import detect_terminal
+    from edoras_tools.render.terminal.palette import detect_terminal
 
     view.check(verbose=verbose)
     limits = stop.limits(inputs.paths)

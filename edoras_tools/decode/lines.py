@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
-    from edoras_tools.ros.cdr.columns import MessageColumns
+    from edoras_tools.ros.cdr.bulk import MessageColumns
     from edoras_tools.ros.cdr.plan import CdrPlan
     from edoras_tools.structs.bindings import Bound
 

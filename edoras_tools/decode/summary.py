@@ -13,7 +13,7 @@ from edoras_tools.cfs import names
 from edoras_tools.cfs.arguments import ARGUMENTS, command_line
 from edoras_tools.links.table import links, protocol
 from edoras_tools.model import OTHER, Decoded
-from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
+from edoras_tools.ros.cdr.bulk import MessageColumns, Ragged
 from edoras_tools.ros.cdr.plan import CdrPlan, Repeat
 from edoras_tools.ros.library import PLACEHOLDER
 from edoras_tools.wire import cfe

@@ -30,8 +30,8 @@ from edoras_tools.render.capture.tree import value_text
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveView
+from edoras_tools.render.terminal.palette import detect_terminal, error_console
 from edoras_tools.render.terminal.table import Column, build, figure, plain
-from edoras_tools.render.terminal.terminal import detect_terminal, error_console
 from edoras_tools.render.terminal.text import clean, wrap
 from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import plural

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.ros.cdr.columns import MessageColumns
+    from edoras_tools.ros.cdr.bulk import MessageColumns
 
 USUAL_DISTRO: Final = "jazzy"
 """The distribution if none is named: that of EDORAS's own images."""
@@ -184,9 +184,9 @@ class TypeStore:
         self, type_name: str, data: Octets, offset: Integers, length: NDArray[np.int32]
     ) -> MessageColumns:
         """Return the fields of many messages as columns, one a field; arguments as ``valid``."""
-        from edoras_tools.ros.cdr import columns
+        from edoras_tools.ros.cdr import bulk
 
-        return columns.columns(*self.plan(type_name), data, offset, length)
+        return bulk.columns(*self.plan(type_name), data, offset, length)
 
     def plan(self, type_name: str) -> tuple[str, CdrPlan]:
         """Return a type's full name, and the plan from which all of its readers are made.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from edoras_tools.io.formats.columns import TableColumn, TableFile, TableHead
-from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.ros.cdr.bulk import Ragged
 
 HEAD = TableHead("/all", "x/msg/All", {"edoras.definition": "float64 x"})
 COLUMNS = (

@@ -137,7 +137,7 @@ def demo(
 def _tour(output: Path | None, duration: int | None, *, force: bool) -> None:
     from edoras_tools.addons.lab.demo.run import tour
     from edoras_tools.addons.lab.views.view import Guide
-    from edoras_tools.render.terminal.terminal import detect_terminal
+    from edoras_tools.render.terminal.palette import detect_terminal
 
     seconds = duration / 1e9 if duration else _TOUR_S
     usual = Path("edoras_demo")
@@ -154,7 +154,7 @@ def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> N
     """Run a demo and print its result."""
     from edoras_tools.addons.lab.demo.run import Demo
     from edoras_tools.addons.lab.views import view
-    from edoras_tools.render.terminal.terminal import detect_terminal
+    from edoras_tools.render.terminal.palette import detect_terminal
 
     json, quiet = printing
     shows = not quiet and not json and detect_terminal(sys.stderr).interactive

@@ -118,7 +118,7 @@ def _write(figure: Figure, output: Path) -> int:
 
 def _print(figure: Figure) -> None:
     from edoras_tools.render.plot.terminal import plot_lines
-    from edoras_tools.render.terminal.terminal import FILE_WIDTH, detect_terminal, output_console
+    from edoras_tools.render.terminal.palette import FILE_WIDTH, detect_terminal, output_console
 
     terminal = detect_terminal(sys.stdout)
     width = 100 if terminal.width == FILE_WIDTH else terminal.width

@@ -31,7 +31,7 @@ from edoras_tools.render.plot.figure import (
     bar_seconds,
     extremes,
 )
-from edoras_tools.ros.cdr.columns import Ragged, TopicBlock
+from edoras_tools.ros.cdr.bulk import Ragged, TopicBlock
 from edoras_tools.words import did_you_mean, listed, plural
 
 if TYPE_CHECKING:

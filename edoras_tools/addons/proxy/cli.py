@@ -90,7 +90,7 @@ def proxy(
     from edoras_tools.links.table import link_of_label, protocol
     from edoras_tools.model import OTHER
     from edoras_tools.pipelines.faults import compiler
-    from edoras_tools.render.terminal.terminal import detect_terminal
+    from edoras_tools.render.terminal.palette import detect_terminal
 
     settings, injected = decoding.settings(), faults.plan()
     (json, quiet), output = printing, outputs.output

@@ -34,7 +34,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import FILE_SUFFIXES
 from edoras_tools.pipelines.capture.info import Counting
 from edoras_tools.pipelines.messages import open_inputs
-from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.ros.cdr.bulk import Ragged
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

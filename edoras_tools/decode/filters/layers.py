@@ -40,7 +40,7 @@ from edoras_tools.links.sbn import SBN
 from edoras_tools.links.table import among
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Finding
 from edoras_tools.ros import library
-from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
+from edoras_tools.ros.cdr.bulk import MessageColumns, Ragged
 from edoras_tools.structs.bindings import Bound, Encoded, Held, payloads
 from edoras_tools.structs.messages import INLINED, aliased, field_name
 from edoras_tools.structs.shapes import PACKETS, UDP_KEY

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.decode import Context
     from edoras_tools.ros import TypeStore
-    from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
+    from edoras_tools.ros.cdr.bulk import MessageColumns, Ragged
     from edoras_tools.structs import Structs
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.outputs import NewFile
-from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.ros.cdr.bulk import Ragged
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -25,7 +25,7 @@ from edoras_tools.io.formats.columns import json_value, value_texts
 from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE, Decoded, Finding, Link, RosMessage
-from edoras_tools.ros.cdr.columns import MessageColumns, Ragged
+from edoras_tools.ros.cdr.bulk import MessageColumns, Ragged
 from edoras_tools.ros.library import PLACEHOLDER
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays import Integers, Places, by_value, gather, numbered

@@ -29,7 +29,7 @@ from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.export.sources import JUDGED, LOST_TOPIC, VERDICTS_TOPIC, TopicSource, open_topics
 from edoras_tools.pipelines.selection import PATTERN_SIGNS, Period, Selection, fits_topic
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.ros.cdr.columns import Ragged, TopicBlock
+from edoras_tools.ros.cdr.bulk import Ragged, TopicBlock
 from edoras_tools.words import did_you_mean, listed, plural
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from edoras_tools.render.terminal.text import Progress
-    from edoras_tools.ros.cdr.columns import TopicBlock
+    from edoras_tools.ros.cdr.bulk import TopicBlock
 
 _TASKS: Final = 96
 """Pieces of tables that may wait to be written, about six batches: limits memory. With fewer, the reader

@@ -34,7 +34,7 @@ from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.reading import reading, reads_by_heads
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files
-from edoras_tools.ros.cdr.columns import MessageColumns, Ragged, TopicBlock
+from edoras_tools.ros.cdr.bulk import MessageColumns, Ragged, TopicBlock
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import Integers, Mask, by_value, read_at
 from edoras_tools.words import listed

@@ -20,7 +20,7 @@ from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Layer, LayerField
 from edoras_tools.render import units
 from edoras_tools.render.severity import EXPLANATIONS, Explanation, Level, ranked
 from edoras_tools.render.terminal import palette
-from edoras_tools.render.terminal.terminal import FILE_WIDTH
+from edoras_tools.render.terminal.palette import FILE_WIDTH
 from edoras_tools.render.terminal.text import ELLIPSIS, cells, clean, clip, fit, fit_right, plain_cells, wrap
 from edoras_tools.words import plural
 

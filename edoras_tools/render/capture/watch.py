@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from edoras_tools.io import Source, SourceOver
 from edoras_tools.io.outputs import output_name
 from edoras_tools.render import units
-from edoras_tools.render.terminal.terminal import detect_terminal
+from edoras_tools.render.terminal.palette import detect_terminal
 from edoras_tools.render.terminal.text import clean, size_of
 from edoras_tools.words import plural
 
@@ -55,8 +55,8 @@ class Followed(SourceOver):
             yield block
 
     def _read(self) -> None:
+        from edoras_tools.render.terminal.palette import error_console
         from edoras_tools.render.terminal.progress import FileProgress
-        from edoras_tools.render.terminal.terminal import error_console
 
         self._bar = self._bar or FileProgress(self._source.info.name, console=error_console())
         self._bar.read(self._source)
@@ -73,8 +73,8 @@ def byte_progress(path: Path, *, quiet: bool) -> Iterator[Callable[[int, int], N
     if quiet or not detect_terminal(sys.stderr).interactive:
         yield lambda _count, _all: None
         return
+    from edoras_tools.render.terminal.palette import error_console
     from edoras_tools.render.terminal.progress import FileProgress
-    from edoras_tools.render.terminal.terminal import error_console
 
     with FileProgress(path.name, console=error_console()) as bar:
         yield lambda count, of: bar.step("checking", count, of, units.size)

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Final, Protocol, TextIO
 
 from edoras_tools.render import units
-from edoras_tools.render.terminal.terminal import detect_terminal
+from edoras_tools.render.terminal.palette import detect_terminal
 
 _REFRESH_S: Final = 0.2
 _KEYS: Final = "space pauses, n next, q ends"

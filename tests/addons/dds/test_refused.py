@@ -14,6 +14,7 @@ def test_without_the_library_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "cyclonedds.internal", None)
     for name in ("graph", "endpoints"):  # as in a process that has not joined a graph yet
         monkeypatch.delitem(sys.modules, f"edoras_tools.addons.dds.{name}", raising=False)
+        monkeypatch.delattr(f"edoras_tools.addons.dds.{name}", raising=False)
     with pytest.raises(ConfigError, match=r"--ros dds needs an extra .*: pip install 'edoras-tools\[dds\]'"):
         graph.open_graph("dds", TypeStore(), "bridge")
 

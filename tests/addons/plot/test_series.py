@@ -23,7 +23,7 @@ from edoras_tools.io.formats.columns import TableColumn
 from edoras_tools.pipelines.doctor.scope import Scope
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.ros.cdr.columns import Ragged
+from edoras_tools.ros.cdr.bulk import Ragged
 
 ROVER = ROOT / "samples/captures/a_rover.pcap"
 ERRORS = ROOT / "samples/captures/e_ci_errors.pcap"

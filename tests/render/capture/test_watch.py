@@ -11,8 +11,8 @@ from edoras_tools.io import SourceDefaults
 from edoras_tools.model import SourceInfo, SourceStatistics
 from edoras_tools.render.capture import watch
 from edoras_tools.render.terminal.live_table import LiveTable
+from edoras_tools.render.terminal.palette import Terminal
 from edoras_tools.render.terminal.progress import FileProgress
-from edoras_tools.render.terminal.terminal import Terminal
 
 SOURCE = SimpleNamespace(info=SourceInfo("eth0", "live"), statistics=SourceStatistics())
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from edoras_tools.render.sending import status
-from edoras_tools.render.terminal.terminal import Terminal
+from edoras_tools.render.terminal.palette import Terminal
 
 
 @pytest.mark.parametrize("interactive", [True, False])

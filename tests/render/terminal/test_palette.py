@@ -71,7 +71,7 @@ def test_sixteen_colours_have_their_names():
 
 def test_bold_text_has_the_shade_too():
     """A headline is ``green bold``: rich's own green vanishes on white."""
-    code = "from edoras_tools.render.terminal.terminal import output_console as console; "
+    code = "from edoras_tools.render.terminal.palette import output_console as console; "
     code += (
         "print([console().get_style(f'{name} bold').color.number for name in ('green', 'yellow', 'cyan')])"
     )

@@ -4,8 +4,8 @@ import io
 
 import pytest
 
-from edoras_tools.render.terminal import terminal as console
-from edoras_tools.render.terminal.terminal import FILE_WIDTH, Terminal, detect_terminal
+from edoras_tools.render.terminal import palette as console
+from edoras_tools.render.terminal.palette import FILE_WIDTH, Terminal, detect_terminal
 
 
 class Tty(io.StringIO):

@@ -28,8 +28,8 @@ from edoras_tools.render.plot.terminal import draw_lines, plot_lines
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveTable, Moment
+from edoras_tools.render.terminal.palette import Terminal, detect_terminal, output_console
 from edoras_tools.render.terminal.table import Column, build, count_cell, facts_grid, figure, one_line, plain
-from edoras_tools.render.terminal.terminal import Terminal, detect_terminal, output_console
 from edoras_tools.render.terminal.text import size_of
 from edoras_tools.units import MICROSECOND, SECOND
 from edoras_tools.words import plural
