@@ -16,16 +16,7 @@ from edoras_tools import doors
 from edoras_tools.cfs.profile import constant_names
 from edoras_tools.errors import ConfigError
 from edoras_tools.links.table import link_of_label, links
-from edoras_tools.mission import tree
-from edoras_tools.mission.bridges import (
-    find_bridges,
-    is_transfer,
-    read_bridge,
-    read_pdu_msg_ids,
-    read_stored,
-    read_transfer,
-    warn_of_unknown,
-)
+from edoras_tools.mission import bridges, tree
 from edoras_tools.mission.model import FlightSoftware, FramedPort, Mission
 from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 from edoras_tools.wire.cfe import HIGHEST_MSG_ID, MissionTime
@@ -173,13 +164,13 @@ class _Loading:
         if isinstance(content, bytes):
             self.files[_free_name(PurePath(name).name, self.files)] = content
         nodes = self._nodes(_text(content, report), report)
-        bridges = find_bridges(nodes)
+        bridge_nodes = bridges.find_bridges(nodes)
         others = self._add_others(nodes, report)
-        if nodes and not (bridges or others or report.mistakes):
+        if nodes and not (bridge_nodes or others or report.mistakes):
             problem = "no node here is a bridge; it needs communication, command and telemetry"
             (report.warn if of_folder else report.mistake)(nodes[0].line, nodes[0].name, problem)
-        for node in bridges:
-            bridge, routes = read_bridge(node, report, self._claims, self._check_type, self._msg_ids)
+        for node in bridge_nodes:
+            bridge, routes = bridges.read_bridge(node, report, self._claims, self._check_type, self._msg_ids)
             self._routes += routes
             if bridge is not None:
                 self._bridges.append(bridge)
@@ -189,7 +180,7 @@ class _Loading:
     def _add_others(self, nodes: Sequence[tree.NodeParameters], report: tree.Mistakes) -> bool:
         """Read the nodes that are no bridges; return whether there are any."""
         for node in nodes:
-            if is_transfer(node):
+            if bridges.is_transfer(node):
                 self._add_transfer(node, report)
             if FRAMES_GROUP in node.groups:
                 self._framed += read_framed_ports(node, report, self._ports)
@@ -200,7 +191,7 @@ class _Loading:
                     report.mistake(node.line_of(CFS_GROUP), CFS_GROUP, "another one; a mission has one cFS")
                 self._software = read_flight_software(node, report, self._msg_ids)
         groups = {FRAMES_GROUP, SPACECRAFT_GROUP, CFS_GROUP}
-        return any(is_transfer(node) or not groups.isdisjoint(node.groups) for node in nodes)
+        return any(bridges.is_transfer(node) or not groups.isdisjoint(node.groups) for node in nodes)
 
     def mission(self) -> Mission:
         """Return the mission of all files.
@@ -230,9 +221,9 @@ class _Loading:
         return self.arguments.applied(nodes, report) if self.arguments else nodes
 
     def _add_transfer(self, node: tree.NodeParameters, report: tree.Mistakes) -> None:
-        self._pdus += read_pdu_msg_ids(node, report)
-        self._topics += read_stored(node, self._check_type)
-        link = read_transfer(node, report)
+        self._pdus += bridges.read_pdu_msg_ids(node, report)
+        self._topics += bridges.read_stored(node, self._check_type)
+        link = bridges.read_transfer(node, report)
         if link is not None:
             self._links.append(link)
 
@@ -319,7 +310,7 @@ def _framed_port(fields: tree.Fields, name: str) -> FramedPort | None:
             whole = key == "insert_zone"
             place = f"{group}.{key}"
             values[key] = fields.integer(place, 0, _LARGEST[kind]) if whole else fields.flag(place)
-    warn_of_unknown(fields, group, (*_KEYS, *own))
+    bridges.warn_of_unknown(fields, group, (*_KEYS, *own))
     if len(fields.report.mistakes) > before or port is None:
         return None
     form = FrameFormat(**values)

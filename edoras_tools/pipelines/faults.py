@@ -26,17 +26,7 @@ import numpy as np
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
-from edoras_tools.mission.tree import (
-    MappingNode,
-    Mistakes,
-    ScalarNode,
-    SequenceNode,
-    Tree,
-    named_entries,
-    printable,
-    read_document,
-    suggestion,
-)
+from edoras_tools.mission import tree
 from edoras_tools.model import Datagram, Endpoint, Link
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import (
@@ -111,8 +101,8 @@ def load_scenario(path: Path) -> FaultPlan:
     Raises:
         ConfigError: all errors at once, each with file, line and key.
     """
-    report = Mistakes(str(path))
-    document = read_document(
+    report = tree.Mistakes(str(path))
+    document = tree.read_document(
         path, report, _SCENARIO_FORM, one="a scenario is one document", instead="a readable file"
     )
     plan = _plan(document, report) if document is not None else FaultPlan()
@@ -120,11 +110,11 @@ def load_scenario(path: Path) -> FaultPlan:
     return plan
 
 
-def _plan(tree: Tree, report: Mistakes) -> FaultPlan:
+def _plan(node: tree.Tree, report: tree.Mistakes) -> FaultPlan:
     rules: list[Rule] = []
     seed = 0
     keys: set[str] = set()
-    for key, _, value in named_entries(tree, "", report, _SCENARIO_FORM, _KEYS):
+    for key, _, value in tree.named_entries(node, "", report, _SCENARIO_FORM, _KEYS):
         keys.add(key)
         if key == "seed":
             seed = _seed(value, report)
@@ -133,37 +123,37 @@ def _plan(tree: Tree, report: Mistakes) -> FaultPlan:
         else:
             rules += _rules(value, report)
     if not keys & {"faults", "profile"} and not report.mistakes:
-        report.mistake(tree.line, "", f"it contains no fault; {_SCENARIO_FORM}")
+        report.mistake(node.line, "", f"it contains no fault; {_SCENARIO_FORM}")
     return FaultPlan(tuple(rules), seed)
 
 
-def _seed(value: Tree, report: Mistakes) -> int:
-    number = value.value if isinstance(value, ScalarNode) else None
+def _seed(value: tree.Tree, report: tree.Mistakes) -> int:
+    number = value.value if isinstance(value, tree.ScalarNode) else None
     if isinstance(number, int) and not isinstance(number, bool) and 0 <= number <= _LARGEST_SEED:
         return number
     report.mistake(value.line, "seed", f"a whole number is needed, from 0 to {_LARGEST_SEED}")
     return 0
 
 
-def _profile(value: Tree, report: Mistakes) -> tuple[Rule, ...]:
+def _profile(value: tree.Tree, report: tree.Mistakes) -> tuple[Rule, ...]:
     try:
-        return parse_profile(value.text if isinstance(value, ScalarNode) else "")
+        return parse_profile(value.text if isinstance(value, tree.ScalarNode) else "")
     except ConfigError as error:
         report.mistake(value.line, "profile", error.mistakes[0])
         return ()
 
 
-def _rules(tree: Tree, report: Mistakes) -> list[Rule]:
-    if not isinstance(tree, SequenceNode):
-        report.mistake(tree.line, "faults", "a list is needed, e.g. - drop: 0.1")
+def _rules(node: tree.Tree, report: tree.Mistakes) -> list[Rule]:
+    if not isinstance(node, tree.SequenceNode):
+        report.mistake(node.line, "faults", "a list is needed, e.g. - drop: 0.1")
         return []
     rules = []
-    for index, item in enumerate(tree.items):
+    for index, item in enumerate(node.items):
         key = f"faults[{index}]"
         rule = None
-        if isinstance(item, MappingNode):
+        if isinstance(item, tree.MappingNode):
             rule = _rule(item, key, report)
-        elif isinstance(item, ScalarNode) and not item.missing:
+        elif isinstance(item, tree.ScalarNode) and not item.missing:
             try:
                 rule = parse_rule(item.text)
             except ConfigError as error:
@@ -176,16 +166,16 @@ def _rules(tree: Tree, report: Mistakes) -> list[Rule]:
     return rules
 
 
-def _rule(item: MappingNode, key: str, report: Mistakes) -> Rule | None:
+def _rule(item: tree.MappingNode, key: str, report: tree.Mistakes) -> Rule | None:
     """Read a fault that is written as a mapping: one key must name the kind of fault."""
     words: list[tuple[str, str | None, int]] = []
     before = len(report.mistakes)
     for name_tree, value in item.entries:
-        name = name_tree.text if isinstance(name_tree, ScalarNode) else ""
+        name = name_tree.text if isinstance(name_tree, tree.ScalarNode) else ""
         text = _text(value)
         if text is None or not name:
             report.mistake(
-                value.line, f"{key}.{printable(name)}", "a plain value or a list of them is needed"
+                value.line, f"{key}.{tree.printable(name)}", "a plain value or a list of them is needed"
             )
         else:
             words.append((name, text, name_tree.line))
@@ -197,7 +187,7 @@ def _rule(item: MappingNode, key: str, report: Mistakes) -> Rule | None:
         problem = (
             f"{' and '.join(name for name, _, _ in kinds)} in one fault; make them two"
             if kinds
-            else f"none of {', '.join(names)} is a fault; {suggestion(names[0], FAULT_KINDS)}"
+            else f"none of {', '.join(names)} is a fault; {tree.suggestion(names[0], FAULT_KINDS)}"
             f"there are {', '.join(FAULT_KINDS)}"
         )
         report.mistake(item.line, key, problem)
@@ -215,12 +205,12 @@ def _rule(item: MappingNode, key: str, report: Mistakes) -> Rule | None:
     return rule
 
 
-def _text(value: Tree) -> str | None:
+def _text(value: tree.Tree) -> str | None:
     """Return a value as ``--fault`` writes it; None if it is not a value or a list of values."""
-    if isinstance(value, ScalarNode):
+    if isinstance(value, tree.ScalarNode):
         return value.text
-    if isinstance(value, SequenceNode):
-        texts = [item.text for item in value.items if isinstance(item, ScalarNode)]
+    if isinstance(value, tree.SequenceNode):
+        texts = [item.text for item in value.items if isinstance(item, tree.ScalarNode)]
         return "|".join(texts) if texts and len(texts) == len(value.items) else None
     return None
 

@@ -23,21 +23,6 @@ from edoras_tools import doors
 from edoras_tools.cfs.arguments import ARGUMENTS, BARE_TOO, SERVICES, TAILS
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs import shapes
-from edoras_tools.structs.shapes import (
-    BASIC,
-    OPEN,
-    UDP_KEY,
-    Basic,
-    BasicKind,
-    ByteOrder,
-    Enumeration,
-    Key,
-    Member,
-    Struct,
-    StructLayout,
-    Wanted,
-    arrange,
-)
 from edoras_tools.wire import cfe
 from edoras_tools.wire import layout as wire
 from edoras_tools.wire.ccsds import VERSION_1, VERSION_2, MsgIds
@@ -82,11 +67,11 @@ class Database(NamedTuple):
     """
 
     recognise: Callable[[bytes], bool]
-    read: Callable[[bytes, str], StructLayout]
-    read_together: Callable[[Sequence[tuple[bytes, str]], Sequence[str]], StructLayout] | None = None
+    read: Callable[[bytes, str], shapes.StructLayout]
+    read_together: Callable[[Sequence[tuple[bytes, str]], Sequence[str]], shapes.StructLayout] | None = None
 
 
-def load_layout(path: str | os.PathLike[str]) -> StructLayout:
+def load_layout(path: str | os.PathLike[str]) -> shapes.StructLayout:
     """Read a layout file; for a folder, read the ``structs.yaml`` in it.
 
     Raises:
@@ -96,7 +81,7 @@ def load_layout(path: str | os.PathLike[str]) -> StructLayout:
     return parse_layout(data, str(file))
 
 
-def load_together(paths: Sequence[Path], flags: Sequence[str] = ()) -> StructLayout:
+def load_together(paths: Sequence[Path], flags: Sequence[str] = ()) -> shapes.StructLayout:
     """Read files that make one layout together; a single file may be any layout file.
 
     Args:
@@ -134,7 +119,7 @@ def read_layout(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
     return file, data
 
 
-def parse_layout(data: bytes, name: str) -> StructLayout:
+def parse_layout(data: bytes, name: str) -> shapes.StructLayout:
     """Read a layout from memory.
 
     Raises:
@@ -162,7 +147,7 @@ def _database(data: bytes) -> Database | None:
     return None
 
 
-def layout_of(raw: Any, name: str) -> StructLayout:
+def layout_of(raw: Any, name: str) -> shapes.StructLayout:
     """Read a layout from the plain values of a layout file; see :func:`parse_layout`."""
     return _Reader(name).layout(raw)
 
@@ -215,12 +200,12 @@ class _Reader:
         self._name = name
         self._mistakes: list[str] = []
         self._raw: Mapping[str, Any] = {}
-        self._enums: dict[str, Enumeration] = {}
-        self._structs: dict[str, Struct] = {}
+        self._enums: dict[str, shapes.Enumeration] = {}
+        self._structs: dict[str, shapes.Struct] = {}
         self._alignments: dict[str, int] = {}
         self._open: list[str] = []
 
-    def layout(self, raw: Any) -> StructLayout:
+    def layout(self, raw: Any) -> shapes.StructLayout:
         if not isinstance(raw, dict) or "structs" not in raw:
             raise ConfigError(
                 f"{self._name}: no layout file: it has no 'structs'; 'edoras structs -o DIR' writes one"
@@ -231,7 +216,7 @@ class _Reader:
             raise ConfigError(
                 f"{self._name}: edoras_structs {version} is not known; this version reads {LAYOUT_VERSION}"
             )
-        order: ByteOrder = "little"
+        order: shapes.ByteOrder = "little"
         if raw.get("byte_order", "little") not in ("little", "big"):
             self._mistake("byte_order", f"{_printed(raw['byte_order'])} is neither little nor big")
         elif "byte_order" in raw:
@@ -243,10 +228,10 @@ class _Reader:
             self._enum(name, item)
         self._raw = dict(self._mapping("structs", raw["structs"]))
         for name in self._raw:
-            if name in BASIC or name in self._enums:
+            if name in shapes.BASIC or name in self._enums:
                 self._mistake(f"structs.{name}", "another type has this name")
             self._struct(name, f"structs.{name}")
-        bindings: dict[Key, str] = {}
+        bindings: dict[shapes.Key, str] = {}
         for text, name in self._mapping("bind", raw.get("bind", {})):
             try:
                 key = parse_key(text)
@@ -260,7 +245,7 @@ class _Reader:
             bindings[key] = str(name) if isinstance(name, str) else ""
         if self._mistakes:
             raise ConfigError(*dict.fromkeys(self._mistakes))
-        return StructLayout(self._structs, self._enums, bindings, order, package, self._name)
+        return shapes.StructLayout(self._structs, self._enums, bindings, order, package, self._name)
 
     def _mistake(self, where: str, text: str) -> None:
         self._mistakes.append(f"{self._name}: {where + ': ' if where else ''}{text}")
@@ -322,11 +307,11 @@ class _Reader:
             self._mistake(where, "expected {type: ..., values: {NAME: NUMBER}}")
             return
         self._check_keys(where, raw, {"type", "values"})
-        basic = BASIC.get(kind) if isinstance(kind := raw.get("type", "int32"), str) else None
-        if basic is None or basic.kind not in {BasicKind.INT, BasicKind.UINT}:
+        basic = shapes.BASIC.get(kind) if isinstance(kind := raw.get("type", "int32"), str) else None
+        if basic is None or basic.kind not in {shapes.BasicKind.INT, shapes.BasicKind.UINT}:
             self._mistake(where, f"{_printed(raw.get('type'))} is not an integer, as int32 or uint8")
-            basic = BASIC["int32"]
-        if name in BASIC:
+            basic = shapes.BASIC["int32"]
+        if name in shapes.BASIC:
             self._mistake(where, "another type has this name")
         names: dict[int, str] = {}
         for label, value in self._mapping(f"{where}.values", raw.get("values", {})):
@@ -336,7 +321,7 @@ class _Reader:
                 self._mistake(where, f"{label}: {_printed(value)} does not fit {basic}")
             else:
                 names.setdefault(value, label)
-        self._enums[name] = Enumeration(name, basic, names)
+        self._enums[name] = shapes.Enumeration(name, basic, names)
 
     def _struct(self, name: str, where: str) -> None:
         """Read a struct, after the structs that it uses."""
@@ -358,7 +343,7 @@ class _Reader:
         ]
         self._open.pop()
         union, packed = self._flag(where, raw, "union"), self._flag(where, raw, "packed")
-        members, size, alignment = arrange(members_read, union=union, packed=packed)
+        members, size, alignment = shapes.arrange(members_read, union=union, packed=packed)
         least = max((item.offset + self._extent(item) for item in members), default=0)
         if "size" in raw:
             stated = self._number(f"{where}.size", raw["size"])
@@ -368,7 +353,7 @@ class _Reader:
         if size > _LARGEST:
             self._mistake(where, f"{size} bytes are more than any packet holds")
         for member in members[:-1]:
-            if OPEN in member.dims:
+            if shapes.OPEN in member.dims:
                 self._mistake(f"{where}.{member.name}", "only the last member is open to the end, as in x[]")
         header = self._number(f"{where}.header", raw.get("header", 0), max(size, least)) or 0
         for member in members:
@@ -376,17 +361,19 @@ class _Reader:
                 self._mistake(f"{where}.{member.name}", f"the header of {header} bytes ends within it")
         self._alignments[name] = alignment
         tail = self._number(f"{where}.tail", raw.get("tail", 0)) or 0
-        self._structs[name] = Struct(name, size, tuple(members), union, header, self._doc(where, raw), tail)
+        self._structs[name] = shapes.Struct(
+            name, size, tuple(members), union, header, self._doc(where, raw), tail
+        )
 
-    def _extent(self, member: Member) -> int:
+    def _extent(self, member: shapes.Member) -> int:
         if member.bits:
             return (member.bit + member.bits + 7) // 8
         return member.count * (member.dims[-1] if member.text else self._measures(member.type)[0])
 
-    def _kind(self, name: str, where: str) -> Basic | str | None:
+    def _kind(self, name: str, where: str) -> shapes.Basic | str | None:
         """Return the type of a name, and read it first if it is a struct of the file; None: no such type."""
-        if name in BASIC:
-            return BASIC[name]
+        if name in shapes.BASIC:
+            return shapes.BASIC[name]
         if name in self._raw and name not in self._enums:
             self._struct(name, where)
         if name in self._enums or name in self._structs:
@@ -395,7 +382,7 @@ class _Reader:
             self._mistake(where, f"there is no type {name!r}")
         return None
 
-    def _member(self, name: str, raw: Any, where: str) -> Wanted | None:
+    def _member(self, name: str, raw: Any, where: str) -> shapes.Wanted | None:
         about: dict[str, Any] = {}
         if isinstance(raw, dict):
             raw, about = raw.get("type"), self._about(where, raw)
@@ -407,7 +394,7 @@ class _Reader:
         if kind is None:
             return None
         try:
-            dims = tuple(int(item, 0) if item else OPEN for item in _DIMENSION.findall(match["dims"]))
+            dims = tuple(int(item, 0) if item else shapes.OPEN for item in _DIMENSION.findall(match["dims"]))
             offset = int(match["offset"] or "0", 0)
         except ValueError:
             self._mistake(where, f"{raw!r}: a dimension and an offset are numbers")
@@ -418,7 +405,7 @@ class _Reader:
         integer = basic is not None and basic.kind in _BITS and not dims
         for wrong, rule in (
             (
-                OPEN in dims[1:] or max((*dims, offset)) > _LARGEST,
+                shapes.OPEN in dims[1:] or max((*dims, offset)) > _LARGEST,
                 "only the first dimension is left out, and all are within a packet",
             ),
             (
@@ -431,11 +418,11 @@ class _Reader:
                 self._mistake(where, f"{raw!r}: {rule}")
                 return None
         about["order"] = match["order"] or ""
-        member = Member(name, kind, offset, dims, bits, bit, 16 if match["hex"] else 10, **about)
+        member = shapes.Member(name, kind, offset, dims, bits, bit, 16 if match["hex"] else 10, **about)
         one = member.dims[-1] if member.text else size
-        return Wanted(member, one, alignment, match["offset"] is not None)
+        return shapes.Wanted(member, one, alignment, match["offset"] is not None)
 
-    def _measures(self, kind: Basic | str) -> tuple[int, int]:
+    def _measures(self, kind: shapes.Basic | str) -> tuple[int, int]:
         basic = self._basic(kind)
         return (
             (basic.size, basic.size)
@@ -443,16 +430,22 @@ class _Reader:
             else (self._structs[str(kind)].size, self._alignments[str(kind)])
         )
 
-    def _basic(self, kind: Basic | str) -> Basic | None:
-        return kind if isinstance(kind, Basic) else self._enums[kind].basic if kind in self._enums else None
+    def _basic(self, kind: shapes.Basic | str) -> shapes.Basic | None:
+        return (
+            kind
+            if isinstance(kind, shapes.Basic)
+            else self._enums[kind].basic
+            if kind in self._enums
+            else None
+        )
 
 
 _SHORT: Final = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 80
-_BITS: Final = {BasicKind.INT, BasicKind.UINT, BasicKind.BOOL}
+_BITS: Final = {shapes.BasicKind.INT, shapes.BasicKind.UINT, shapes.BasicKind.BOOL}
 
 
-def parse_key(raw: Any) -> Key:
+def parse_key(raw: Any) -> shapes.Key:
     """Read a key: ``0x0801`` a MsgId, ``0x1880/6`` one with a function code, ``udp:8585`` a robot's UDP port.
 
     ``udp:8585/48`` means datagrams of 48 bytes to this port; ``udp:robot/48`` means any port of the robot
@@ -467,9 +460,9 @@ def parse_key(raw: Any) -> Key:
         any_port = port == "robot" and bool(slash)
         if not (any_port or (port.isdecimal() and 1 <= int(port) <= 0xFFFF)) or not size.isdecimal():
             raise ConfigError(f"{_printed(raw)} is not a UDP port as udp:8585, from 1 to 65535")
-        return Key(UDP_KEY + (0 if any_port else int(port)), int(code) if slash else None)
+        return shapes.Key(shapes.UDP_KEY + (0 if any_port else int(port)), int(code) if slash else None)
     try:
-        key = Key(int(word, 0), int(code, 0) if slash else None)
+        key = shapes.Key(int(word, 0), int(code, 0) if slash else None)
     except ValueError:
         _refuse(raw)
     if not 1 <= key.msg_id <= _HIGHEST or not 0 <= (key.function_code or 0) <= 0x7F:
@@ -494,7 +487,7 @@ def _refuse(raw: Any) -> NoReturn:
 _WORDS: Final = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
 
 
-def dumps(layout: StructLayout) -> str:
+def dumps(layout: shapes.StructLayout) -> str:
     """Return the text of a layout file, with every offset."""
     lines = [
         f"edoras_structs: {LAYOUT_VERSION}",
@@ -528,18 +521,18 @@ def _name(name: str) -> str:
     return f"'{name}'" if name.lower() in _WORDS else name
 
 
-def _order(item: tuple[Key, str]) -> tuple[int, int]:
+def _order(item: tuple[shapes.Key, str]) -> tuple[int, int]:
     return item[0].msg_id, -1 if item[0].function_code is None else item[0].function_code
 
 
-def _member_text(member: Member) -> str:
+def _member_text(member: shapes.Member) -> str:
     text = type_text(member) + f" @{member.offset}" + (f".{member.bit}" if member.bits else "")
     about = {key: getattr(member, key) for key in _ABOUT}
     words = "".join(f", {key}: {json.dumps(value)}" for key, value in about.items() if value)
     return f"{{type: '{text}'{words}}}" if words else text
 
 
-def type_text(member: Member) -> str:
+def type_text(member: shapes.Member) -> str:
     """Return a member's type as it stands in a layout file, without its offset."""
     dims = "".join(f"[{size or ''}]" for size in member.dims)
     return (

@@ -6,19 +6,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from edoras_tools.addons.rtps import wire
 from edoras_tools.addons.rtps import wire as rtps
-from edoras_tools.addons.rtps.wire import (
-    LEAST_BYTES,
-    RtpsMessages,
-    SubmessageFields,
-    Submessages,
-    guid_text,
-    read_announcement,
-    read_messages,
-    read_samples,
-    read_status,
-    sequence_set,
-)
 from edoras_tools.links.protocol import BatchRows, Located
 from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch
 from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, numbered
@@ -66,14 +55,14 @@ class TopicSamples(NamedTuple):
     time_ns: Integers
 
 
-def topic_samples(data: Octets, submessages: Submessages) -> tuple[list[bytes], TopicSamples]:
+def topic_samples(data: Octets, submessages: wire.Submessages) -> tuple[list[bytes], TopicSamples]:
     """Return the GUIDs of writers, and their samples, without the keys of disposed instances.
 
     Args:
         data: u8, buffer of the submessages.
     """
     samples, own = _whole_samples(data, submessages)
-    fields = SubmessageFields(data, own, rtps.SubmessageKind.DATA)
+    fields = wire.SubmessageFields(data, own, rtps.SubmessageKind.DATA)
     guids = fields.guid("writer_id")
     users = np.flatnonzero(_of_users(guids))
     writers, which = distinct_guids(guids[users])
@@ -102,9 +91,9 @@ def rows_on(batch: PacketBatch, rows: Places, endpoints: Endpoints, holds: Calla
     return rows[samples.row[own[samples.writer] & announced]]
 
 
-def _whole_samples(data: Octets, parts: Submessages) -> tuple[SampleData, Submessages]:
+def _whole_samples(data: Octets, parts: wire.Submessages) -> tuple[SampleData, wire.Submessages]:
     """Return the complete samples in DATA, and their submessages."""
-    samples = read_samples(data, parts, rtps.SubmessageKind.DATA)
+    samples = wire.read_samples(data, parts, rtps.SubmessageKind.DATA)
     samples = samples.take(samples.fits & ((parts.flags[samples.which] & rtps.SubmessageFlag.DATA) != 0))
     return samples, parts.take(samples.which)
 
@@ -122,9 +111,9 @@ def distinct_guids(guids: NDArray[np.void]) -> tuple[list[bytes], Integers]:
     return [guids[at].tobytes() for at in first.tolist()], which
 
 
-def rtps_messages(batch: PacketBatch, rows: Places) -> RtpsMessages:
+def rtps_messages(batch: PacketBatch, rows: Places) -> wire.RtpsMessages:
     """Read the messages of some rows of a batch."""
-    return read_messages(batch.data, batch.offset[rows], batch.length[rows])
+    return wire.read_messages(batch.data, batch.offset[rows], batch.length[rows])
 
 
 def locate_samples(batch: PacketBatch, rows: Places, site: Site) -> Located:
@@ -134,14 +123,14 @@ def locate_samples(batch: PacketBatch, rows: Places, site: Site) -> Located:
     located.flag(Finding.LENGTH_MISMATCH, messages.odd)
     submessages = messages.submessages
     for kind in (rtps.SubmessageKind.DATA, rtps.SubmessageKind.DATA_FRAG):
-        samples = read_samples(batch.data, submessages, kind)
+        samples = wire.read_samples(batch.data, submessages, kind)
         odd = samples.which[~samples.fits]
         located.findings[submessages.row[odd]] |= np.uint32(Finding.LENGTH_MISMATCH)
     learn(batch.data, submessages, batch.number[rows], site.endpoints)
     return located
 
 
-def learn(data: Octets, submessages: Submessages, number: Integers, endpoints: Endpoints) -> None:
+def learn(data: Octets, submessages: wire.Submessages, number: Integers, endpoints: Endpoints) -> None:
     """Learn the announcements of participants.
 
     Args:
@@ -150,12 +139,12 @@ def learn(data: Octets, submessages: Submessages, number: Integers, endpoints: E
         endpoints: endpoints, which are extended.
     """
     samples, own = _whole_samples(data, submessages)
-    guids = SubmessageFields(data, own, rtps.SubmessageKind.DATA).guid("writer_id")
+    guids = wire.SubmessageFields(data, own, rtps.SubmessageKind.DATA).guid("writer_id")
     announcing = np.isin(guids.view(">u4")[3::4], rtps.ANNOUNCING)  # the last word is the entity id
     for at in np.flatnonzero(announcing).tolist():
         payload = data[samples.start[at] : samples.end[at]].tobytes()
         if endpoints.is_new(payload):
-            announcement = read_announcement(payload)
+            announcement = wire.read_announcement(payload)
             if announcement is not None:
                 endpoints.learn(announcement, int(number[own.row[at]]))
 
@@ -169,7 +158,7 @@ def dissect_message(reading: Reading, site: Site) -> None:
     data = reading.data
     reading.read(rtps.RTPS_HEADER, 0)
     octets = np.frombuffer(data, np.uint8)
-    messages = read_messages(octets, np.array([0]), np.array([len(data)]))
+    messages = wire.read_messages(octets, np.array([0]), np.array([len(data)]))
     submessages = messages.submessages
     learn(octets, submessages, np.array([reading.datagram.number]), site.endpoints)
     inside = _insides(octets, submessages)
@@ -182,18 +171,18 @@ def dissect_message(reading: Reading, site: Site) -> None:
         reading.truncated(rtps.SUBMESSAGE.little.name, last, rtps.SUBMESSAGE.little.size)
 
 
-def _insides(octets: Octets, submessages: Submessages) -> dict[int, tuple[int, int, bool]]:
+def _insides(octets: Octets, submessages: wire.Submessages) -> dict[int, tuple[int, int, bool]]:
     """Return the start and end of each submessage's data, and whether its headers are sound."""
     out: dict[int, tuple[int, int, bool]] = {}
     for kind in (rtps.SubmessageKind.DATA, rtps.SubmessageKind.DATA_FRAG):
-        samples = read_samples(octets, submessages, kind)
+        samples = wire.read_samples(octets, submessages, kind)
         for at, which in enumerate(samples.which.tolist()):
             out[which] = (int(samples.start[at]), int(samples.end[at]), bool(samples.fits[at]))
     return out
 
 
 def _submessage(
-    reading: Reading, endpoints: Endpoints, one: Submessages, inside: tuple[int, int, bool] | None
+    reading: Reading, endpoints: Endpoints, one: wire.Submessages, inside: tuple[int, int, bool] | None
 ) -> None:
     """Read one submessage, and the sample in it."""
     kind, flags, at, end = (int(item[0]) for item in (one.kind, one.flags, one.start, one.end))
@@ -217,17 +206,17 @@ def _submessage(
         reading.extend(LayerField(label, value, place, place + 8, str(value), "the sequence number"))
     if kind in rtps.WITH_SEQUENCE_SET:
         name = _TOLD_SETS[rtps.SubmessageKind(kind)]
-        listed = sequence_set(
+        listed = wire.sequence_set(
             reading.data, behind, end, little=little, base=numbers["base"], bits=values["num_bits"]
         )
         reading.extend(
             LayerField(name, listed, behind, end, _numbers_text(listed), "the samples whose bits are set")
         )
-    fields = SubmessageFields(np.frombuffer(reading.data, np.uint8), one, rtps.SubmessageKind(kind))
+    fields = wire.SubmessageFields(np.frombuffer(reading.data, np.uint8), one, rtps.SubmessageKind(kind))
     guid = fields.guid("writer_id")[0].tobytes()
     place = at + layout.by_name["writer_id"].start
     endpoint = endpoints.find(guid, reading.datagram.number)
-    told_of = {"writer": (guid_text(guid), "GUID of the writer")}
+    told_of = {"writer": (wire.guid_text(guid), "GUID of the writer")}
     topic = endpoint.ros_topic if endpoint is not None else ""
     if endpoint is not None and topic:
         told_of |= {"topic": (topic, "as it announced"), "type": (endpoint.ros_type, "as it announced")}
@@ -235,7 +224,7 @@ def _submessage(
         reading.extend(LayerField(name, text, place, place + rtps.ENTITY_BYTES, text, doc))
     if kind == rtps.SubmessageKind.DATA and flags & rtps.SubmessageFlag.INLINE_QOS:
         start = at + rtps.INLINE_AT + values["octets_to_inline_qos"]
-        if status := read_status(reading.data[start:end], "little" if little else "big"):
+        if status := wire.read_status(reading.data[start:end], "little" if little else "big"):
             reading.extend(LayerField("status", status, start, end, status, "what became of the instance"))
     sample = kind == rtps.SubmessageKind.DATA and flags & rtps.SubmessageFlag.DATA
     if endpoint is not None and topic and sample and inside and inside[2]:
@@ -253,7 +242,7 @@ def submessage_places(layout: Layout, rows: BatchRows, link: Link) -> tuple[Plac
     if layout is rtps.RTPS_HEADER:
         present = length >= layout.size
         return owner[present], offset[present]
-    parts = read_messages(rows.batch.data, offset, length).submessages
+    parts = wire.read_messages(rows.batch.data, offset, length).submessages
     little = parts.little == (layout.byte_order == "little")
     of_time = (parts.kind == rtps.SubmessageKind.INFO_TS) & (
         (parts.flags & rtps.SubmessageFlag.NO_TIMESTAMP) != 0
@@ -263,7 +252,7 @@ def submessage_places(layout: Layout, rows: BatchRows, link: Link) -> tuple[Plac
         mask = little & (parts.kind == kinds[0]) & ~of_time & (parts.end - parts.start >= layout.size)
     else:
         plain = ~np.isin(parts.kind, list(rtps.SUBMESSAGE_LAYOUTS)) | of_time
-        plain |= ~parts.whole & (parts.end - parts.start < LEAST_BYTES[parts.kind])
+        plain |= ~parts.whole & (parts.end - parts.start < wire.LEAST_BYTES[parts.kind])
         mask = little & plain
     return owner[parts.row[mask]], parts.start[mask]
 
@@ -353,7 +342,7 @@ class UserSubmessages(NamedTuple):
         at, end = int(self.set_at[index]), int(self.end[index])
         words = self.data[at:end].tobytes()
         base, bits = int(self.last[index]), int(self.bits[index])
-        return sequence_set(words, 0, len(words), little=bool(self.little[index]), base=base, bits=bits)
+        return wire.sequence_set(words, 0, len(words), little=bool(self.little[index]), base=base, bits=bits)
 
 
 _FOLLOWED: Final = {
@@ -375,7 +364,7 @@ def user_submessages(batch: PacketBatch, rows: Places) -> UserSubmessages:
     for kind, names in _FOLLOWED.items():
         at = np.flatnonzero((submessages.kind == kind) & submessages.whole)
         own = submessages.take(at)
-        fields = SubmessageFields(batch.data, own, kind)
+        fields = wire.SubmessageFields(batch.data, own, kind)
         guids = fields.guid("writer_id")
         users = _of_users(guids)
         sets = kind in rtps.WITH_SEQUENCE_SET
@@ -427,7 +416,7 @@ def named_submessages(batch: PacketBatch, rows: Places) -> NamedSubmessages:
     parts: list[tuple[NDArray[Any], ...]] = []
     for kind, names in _NUMBERS.items():
         at = np.flatnonzero((submessages.kind == kind) & submessages.whole)
-        fields = SubmessageFields(batch.data, submessages.take(at), kind)
+        fields = wire.SubmessageFields(batch.data, submessages.take(at), kind)
         single = names == ("writer_sn",)
         number = fields.sequence_number("writer_sn") if single else np.zeros(len(at), np.int64)
         parts.append((at, fields.guid("writer_id"), number, np.full(len(at), single)))

@@ -30,24 +30,6 @@ from edoras_tools.model import Endpoint, Peer, SourceInfo
 from edoras_tools.units import SECOND
 from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays import Integers, Octets, Places, gather
-from edoras_tools.wire.cfe import (
-    CFE_MAGIC,
-    FILE_HEADER,
-    MARKER,
-    ON_TIME_LINE,
-    PERFORMANCE,
-    RESET_ENTRY,
-    SBN_COUNT,
-    SBN_FILTERS,
-    SBN_MODULE,
-    SBN_MODULES,
-    SBN_PEER,
-    SBN_PEER_COUNT,
-    SBN_PEERS,
-    TABLE_HEADER,
-    TO_SUBSCRIPTION,
-    kind_of,
-)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -79,22 +61,22 @@ class CfePacketSource(RecordSource):
         """
         super().__init__(window)
         name = window.stream.name
-        while window.end < FILE_HEADER.size and window.advance(0):
+        while window.end < cfe.FILE_HEADER.size and window.advance(0):
             pass
-        if window.end < FILE_HEADER.size:
+        if window.end < cfe.FILE_HEADER.size:
             raise CaptureError(
-                f"{name}: ends inside the cFE file header, at byte {window.end} of {FILE_HEADER.size}"
+                f"{name}: ends inside the cFE file header, at byte {window.end} of {cfe.FILE_HEADER.size}"
             )
-        self.header = FILE_HEADER.parse(window.data[: FILE_HEADER.size].tobytes())
+        self.header = cfe.FILE_HEADER.parse(window.data[: cfe.FILE_HEADER.size].tobytes())
         subtype = self.header["subtype"]
-        kind = kind_of(subtype)
-        if subtype not in ON_TIME_LINE:
+        kind = cfe.kind_of(subtype)
+        if subtype not in cfe.ON_TIME_LINE:
             raise CaptureError(
                 f"{name}: is a cFE {kind}, which has no packets; 'edoras info {name}' shows what is in it"
             )
         if subtype == cfe.RESET_LOG:
             self.unit = "entry"
-        self._at = cfe.OF_PACKETS.get(subtype, FILE_HEADER.size)
+        self._at = cfe.OF_PACKETS.get(subtype, cfe.FILE_HEADER.size)
         self._info = SourceInfo(name, f"cFE {kind}")
         self._time_ns = (cfe.EPOCH_S + self.header["seconds"]) * SECOND
         self._clock_at = 0
@@ -130,14 +112,14 @@ class CfePacketSource(RecordSource):
 
     def _entries(self, data: Octets, start: int, end: int) -> Iterator[FrameBatch]:
         """Yield the used entries of a reset log, oldest first."""
-        positions = np.arange(start, end - RESET_ENTRY.size + 1, RESET_ENTRY.size)
-        self._at = start + len(positions) * RESET_ENTRY.size
-        rows = gather(data, positions, RESET_ENTRY.size)
-        used = np.flatnonzero(RESET_ENTRY.column("entry_type", rows) > 0)
+        positions = np.arange(start, end - cfe.RESET_ENTRY.size + 1, cfe.RESET_ENTRY.size)
+        self._at = start + len(positions) * cfe.RESET_ENTRY.size
+        rows = gather(data, positions, cfe.RESET_ENTRY.size)
+        used = np.flatnonzero(cfe.RESET_ENTRY.column("entry_type", rows) > 0)
         if not len(used):
             return
         time_ns, order = reset_times(rows[used])
-        positions, length = positions[used][order], np.full(len(used), RESET_ENTRY.size)
+        positions, length = positions[used][order], np.full(len(used), cfe.RESET_ENTRY.size)
         page = FramePage(len(used), end - start)
         page.add(data, positions, length, time_ns[order], _ENDS)
         yield page.frames(self.statistics.frames + 1)
@@ -181,7 +163,7 @@ def reset_times(rows: Octets) -> tuple[Integers, Places]:
         Mission time as ns since 1970, i64 (n,); indices of the entries, oldest first.
     """
     core, power_on, subtype, seconds, subseconds = (
-        RESET_ENTRY.column(name, rows).astype(np.int64)
+        cfe.RESET_ENTRY.column(name, rows).astype(np.int64)
         for name in ("entry_type", "reset_type", "reset_subtype", "seconds", "subseconds")
     )
     stamped = (core != 1) | np.isin(subtype, (cfe.RESET_COMMAND, cfe.EXCEPTION))
@@ -200,7 +182,9 @@ def reset_times(rows: Octets) -> tuple[Integers, Places]:
 _SUBSCRIPTIONS: Final = ("TO_LAB.TO_LAB_Subs", "TO_LAB_APP.TO_LAB_Subs")
 """Names of Telemetry Output's table."""
 _SBN_BYTES: Final = (
-    2 * (SBN_MODULES * SBN_MODULE.size + SBN_COUNT.size) + SBN_PEERS * SBN_PEER.size + SBN_PEER_COUNT.size
+    2 * (cfe.SBN_MODULES * cfe.SBN_MODULE.size + cfe.SBN_COUNT.size)
+    + cfe.SBN_PEERS * cfe.SBN_PEER.size
+    + cfe.SBN_PEER_COUNT.size
 )
 _LARGEST: Final = 64 << 20
 
@@ -286,12 +270,12 @@ def read_cfe_file(path: Path) -> CfeFile | None:
     """
     if not path.is_file():  # bytes of a pipe can be read only once
         return None
-    at = FILE_HEADER.size
+    at = cfe.FILE_HEADER.size
     with os_errors(f"{path}: cannot be read"), path.open("rb") as file:
         data = file.read(at)
-        if not data.startswith(CFE_MAGIC):
+        if not data.startswith(cfe.CFE_MAGIC):
             return None
-        header = _parsed(path, FILE_HEADER, data, 0)
+        header = _parsed(path, cfe.FILE_HEADER, data, 0)
         if header["subtype"] in cfe.OF_PACKETS:
             return None
         data += file.read(_LARGEST)
@@ -302,11 +286,11 @@ def read_cfe_file(path: Path) -> CfeFile | None:
         lines = data[at:].rstrip(b"\0").decode("utf-8", "replace").splitlines()
         return CfeFile(path, header, entries=[{"text": line} for line in lines])
     if subtype == cfe.PERFORMANCE_LOG:
-        head = _parsed(path, PERFORMANCE, data, at)
-        return CfeFile(path, header, head, markers=_markers(path, head, data[at + PERFORMANCE.size :]))
+        head = _parsed(path, cfe.PERFORMANCE, data, at)
+        return CfeFile(path, header, head, markers=_markers(path, head, data[at + cfe.PERFORMANCE.size :]))
     if subtype == cfe.TABLE_IMAGE:
-        head = _parsed(path, TABLE_HEADER, data, at)
-        image = data[at + TABLE_HEADER.size :]
+        head = _parsed(path, cfe.TABLE_HEADER, data, at)
+        image = data[at + cfe.TABLE_HEADER.size :]
         if len(image) < head["load_bytes"]:
             raise CaptureError(f"{path}: ends after {len(image)} of the table's {head['load_bytes']} bytes")
         if not head["load_offset"] and head["table_name"] in _SUBSCRIPTIONS:
@@ -373,12 +357,12 @@ def _whole(path: Path, data: bytes, size: int, entries: str) -> int:
 
 
 def _resets(path: Path, data: bytes) -> list[dict[str, Any]]:
-    count = _whole(path, data, RESET_ENTRY.size, "entries")
-    every = [RESET_ENTRY.parse(data, at * RESET_ENTRY.size) for at in range(count)]
+    count = _whole(path, data, cfe.RESET_ENTRY.size, "entries")
+    every = [cfe.RESET_ENTRY.parse(data, at * cfe.RESET_ENTRY.size) for at in range(count)]
     return [
         {
             "time_ns": mission_ns(item),
-            **{slot.field.name: slot.field.text(item[slot.field.name]) for slot in RESET_ENTRY.slots[:2]},
+            **{slot.field.name: slot.field.text(item[slot.field.name]) for slot in cfe.RESET_ENTRY.slots[:2]},
             **{name: item[name] for name in ("reset_subtype", "processor_resets", "description")},
         }
         for item in every
@@ -393,9 +377,11 @@ def _markers(path: Path, head: dict[str, Any], data: bytes) -> Integers:
             f"{path}: its header is not that of a performance log of a little-endian processor"
         )
     data = data[masks:]
-    count = _whole(path, data, MARKER.size, "markers")
-    rows = np.frombuffer(data, np.uint8).reshape(count, MARKER.size)
-    number, upper, lower = (MARKER.column(slot.field.name, rows).astype(np.uint64) for slot in MARKER.slots)
+    count = _whole(path, data, cfe.MARKER.size, "markers")
+    rows = np.frombuffer(data, np.uint8).reshape(count, cfe.MARKER.size)
+    number, upper, lower = (
+        cfe.MARKER.column(slot.field.name, rows).astype(np.uint64) for slot in cfe.MARKER.slots
+    )
     ticks = upper * np.uint64(head["rollover"] or 1 << 32) + lower
     ticks -= ticks[:1].sum()  # the first is the oldest
     time_ns = ticks.astype(np.float64) * (SECOND / head["ticks_per_second"])
@@ -405,8 +391,8 @@ def _markers(path: Path, head: dict[str, Any], data: bytes) -> Integers:
 
 def _subscriptions(image: bytes) -> list[dict[str, Any]]:
     entries = [
-        TO_SUBSCRIPTION.parse(image, at)
-        for at in range(0, len(image) - TO_SUBSCRIPTION.size + 1, TO_SUBSCRIPTION.size)
+        cfe.TO_SUBSCRIPTION.parse(image, at)
+        for at in range(0, len(image) - cfe.TO_SUBSCRIPTION.size + 1, cfe.TO_SUBSCRIPTION.size)
     ]
     used = next((at for at, item in enumerate(entries) if not item["msg_id"]), len(entries))
     return [{**item, "msg_id": f"0x{item['msg_id']:04x}"} for item in entries[:used]]
@@ -417,22 +403,23 @@ def _network(path: Path, head: dict[str, Any], image: bytes) -> tuple[dict[str, 
     at = 0
     modules = []
     for _ in range(2):
-        count = SBN_COUNT.parse(image, at + SBN_MODULES * SBN_MODULE.size)["modules"]
+        count = cfe.SBN_COUNT.parse(image, at + cfe.SBN_MODULES * cfe.SBN_MODULE.size)["modules"]
         used = [
-            SBN_MODULE.parse(image, at + place * SBN_MODULE.size) for place in range(min(count, SBN_MODULES))
+            cfe.SBN_MODULE.parse(image, at + place * cfe.SBN_MODULE.size)
+            for place in range(min(count, cfe.SBN_MODULES))
         ]
         modules.append([item["name"] for item in used])
-        at += SBN_MODULES * SBN_MODULE.size + SBN_COUNT.size
-    count = SBN_PEER_COUNT.parse(image, at + SBN_PEERS * SBN_PEER.size)["peers"]
-    if count > SBN_PEERS:
+        at += cfe.SBN_MODULES * cfe.SBN_MODULE.size + cfe.SBN_COUNT.size
+    count = cfe.SBN_PEER_COUNT.parse(image, at + cfe.SBN_PEERS * cfe.SBN_PEER.size)["peers"]
+    if count > cfe.SBN_PEERS:
         raise CaptureError(
-            f"{path}: names {count} peers, and the table has room for {SBN_PEERS}: "
+            f"{path}: names {count} peers, and the table has room for {cfe.SBN_PEERS}: "
             "it is big-endian, or damaged"
         )
     peers = []
     for place in range(count):
-        item = SBN_PEER.parse(image, at + place * SBN_PEER.size)
-        filters = (item[f"filter_{number}"] for number in range(SBN_FILTERS))
+        item = cfe.SBN_PEER.parse(image, at + place * cfe.SBN_PEER.size)
+        filters = (item[f"filter_{number}"] for number in range(cfe.SBN_FILTERS))
         peers.append(
             {
                 **{
@@ -440,7 +427,7 @@ def _network(path: Path, head: dict[str, Any], image: bytes) -> tuple[dict[str, 
                     for name in ("spacecraft_id", "processor_id", "address", "protocol", "net")
                 },
                 "filters": ", ".join(filter(None, filters)),
-                "tasks": SBN_PEER.by_name["task_flags"].field.text(item["task_flags"]),
+                "tasks": cfe.SBN_PEER.by_name["task_flags"].field.text(item["task_flags"]),
             }
         )
     return {**head, "protocols": ", ".join(modules[0]), "filters": ", ".join(modules[1])}, peers

@@ -28,6 +28,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.io import SourceDefaults
+from edoras_tools.io.frames import network
 from edoras_tools.io.frames.frame_batch import (
     LINKTYPE_RAW,
     FrameBatch,
@@ -35,23 +36,6 @@ from edoras_tools.io.frames.frame_batch import (
     frames_at,
     joined_frames,
     packed_frames,
-)
-from edoras_tools.io.frames.network import (
-    CHECKSUMS,
-    HOP_LIMIT,
-    IPV4_HEADER,
-    TCP,
-    UDP_BYTES,
-    UDP_HEADER,
-    Beginning,
-    Fragment,
-    IpHeaders,
-    IpPayloads,
-    Reassembler,
-    ip_payloads,
-    ipv4,
-    transport_payloads,
-    wrong_checksums,
 )
 from edoras_tools.links.table import framings
 from edoras_tools.model import CutDatagram, Datagram, Endpoint, Finding, PacketBatch, concatenate
@@ -86,7 +70,7 @@ _PROTOCOL_AT = {4: 9, 6: 6}
 _CONTROL = (1, 58)
 """ICMP, ICMPv6."""
 _TCP_BYTES = 20
-_MADE_BYTES = 20 + UDP_BYTES
+_MADE_BYTES = 20 + network.UDP_BYTES
 """Bytes of the headers of frames that ``build`` makes."""
 _IDENTIFICATION = 4
 _LATE_IPV4 = np.dtype([("identification", ">u2"), ("fragment", ">u2"), ("time_to_live", "u1")])
@@ -94,7 +78,7 @@ _LATE_IPV4 = np.dtype([("identification", ">u2"), ("fragment", ">u2"), ("time_to
 _PORTS = np.dtype([("source_port", ">u2"), ("destination_port", ">u2")])
 _WAITING_BYTES = 16 << 20
 """Most bytes of TCP segments that wait for others."""
-_TYPE_AND_IPV4 = np.dtype([("ether_type", ">u2"), *IPV4_HEADER.descr])
+_TYPE_AND_IPV4 = np.dtype([("ether_type", ">u2"), *network.IPV4_HEADER.descr])
 """An EtherType, and the header that usually follows: one memory access instead of two."""
 
 
@@ -123,12 +107,12 @@ def network_headers(batch: PacketBatch) -> tuple[Integers, NDArray[np.uint16], O
         batch.frame_length,
         batch.original_length,
     )
-    network = Demux()._locate(batch.data, frames).network  # noqa: SLF001  of this module
-    header = read_at(batch.data, network, IPV4_HEADER)
+    ip_start = Demux()._locate(batch.data, frames).network  # noqa: SLF001  of this module
+    header = read_at(batch.data, ip_start, network.IPV4_HEADER)
     four = batch.ip_version == 4
-    life = read_at(batch.data, network + HOP_LIMIT, np.uint8)
+    life = read_at(batch.data, ip_start + network.HOP_LIMIT, np.uint8)
     return (
-        network,
+        ip_start,
         np.where(four, header["identification"], 0).astype(np.uint16),
         np.where(four, header["time_to_live"], life),
     )
@@ -138,8 +122,8 @@ def checksum_faults(batch: PacketBatch) -> list[str]:
     """Return the wrong checksums of each datagram, in words; empty if none is wrong or can be checked."""
     codes = np.zeros(len(batch), np.uint8)
     if batch.recorded is None:  # else the rows are messages without frames
-        codes = wrong_checksums(batch, network_headers(batch)[0])
-    return [CHECKSUMS[code] for code in codes.tolist()]
+        codes = network.wrong_checksums(batch, network_headers(batch)[0])
+    return [network.CHECKSUMS[code] for code in codes.tolist()]
 
 
 def checksum_fault(datagram: Datagram) -> str:
@@ -168,7 +152,7 @@ class Demux:
     def __init__(self) -> None:
         self.skipped = 0
         self.unknown_link_types: set[int] = set()
-        self._reassembler = Reassembler()
+        self._reassembler = network.Reassembler()
         self._streams: StreamReassembler | None = None
         self._waiting: FrameBatch | None = None
 
@@ -185,7 +169,7 @@ class Demux:
     def beginnings(self) -> list[CutDatagram]:
         """Return the datagrams that lack fragments."""
         return [
-            CutDatagram(item.time_ns, *_ends(item), item.head[UDP_BYTES:])
+            CutDatagram(item.time_ns, *_ends(item), item.head[network.UDP_BYTES :])
             for item in self._reassembler.beginnings()
         ]
 
@@ -201,7 +185,7 @@ class Demux:
             data = np.concatenate((data, np.zeros(PADDING, dtype=np.uint8)))
         headers = self._locate(data, frames)
         version = headers.version
-        transport = ipv4(headers) if (version == 4).all() else ip_payloads(headers)
+        transport = network.ipv4(headers) if (version == 4).all() else network.ip_payloads(headers)
         self.skipped += len(frames) - len(transport.position)
         batch = self._datagrams(data, frames_at(frames, transport.rows), transport)
         if transport.rows is None or len(transport.rows) == len(frames):
@@ -225,7 +209,7 @@ class Demux:
         return self._messages(self._waiting, len(self._waiting), final=True)
 
     def _with_errors(
-        self, batch: PacketBatch, frames: FrameBatch, headers: IpHeaders, rows: Integers
+        self, batch: PacketBatch, frames: FrameBatch, headers: network.IpHeaders, rows: Integers
     ) -> PacketBatch:
         """Add a row for each ICMP error among some frames, with ports 0, in the order of the frames."""
         from edoras_tools.io.frames.network import find_errors
@@ -237,7 +221,7 @@ class Demux:
         self.skipped -= len(frames)
         messages = self._datagrams(frames.data, frames, errors)
         # The bytes that were read as a UDP header begin the ICMP message.
-        start = messages.offset - UDP_BYTES
+        start = messages.offset - network.UDP_BYTES
         length = np.minimum(errors.end, frames.offset + frames.length) - start
         none = np.zeros(len(frames), np.uint16)
         own = replace(
@@ -245,9 +229,9 @@ class Demux:
         )
         return by_time([batch, own])
 
-    def _stream_rows(self, headers: IpHeaders, rows: Integers) -> Integers:
+    def _stream_rows(self, headers: network.IpHeaders, rows: Integers) -> Integers:
         """Return which of some frames are TCP segments from or to a link's port."""
-        payloads = transport_payloads(headers.take(rows), (TCP, TCP), _TCP_BYTES)
+        payloads = network.transport_payloads(headers.take(rows), (network.TCP, network.TCP), _TCP_BYTES)
         members = np.arange(len(rows)) if payloads.rows is None else payloads.rows
         ports = read_at(headers.data, payloads.position, _PORTS)
         link_ports = np.zeros(1 << 16, bool)
@@ -274,27 +258,27 @@ class Demux:
         if self._streams is None:
             self._streams = StreamReassembler(self.framings)
         headers = self._locate(frames.data, frames)
-        payloads = transport_payloads(headers, (TCP, TCP), _TCP_BYTES)
+        payloads = network.transport_payloads(headers, (network.TCP, network.TCP), _TCP_BYTES)
         segments = read_segments(frames, headers.network, payloads, old)
         batch, waiting = self._streams.messages(segments, final=final)
         self.skipped -= int(np.count_nonzero(segments.length[old:]))
         self._waiting = packed_frames(frames_at(frames, waiting)) if len(waiting) else None
         return batch
 
-    def _locate(self, data: Octets, frames: FrameBatch) -> IpHeaders:
+    def _locate(self, data: Octets, frames: FrameBatch) -> network.IpHeaders:
         """Find the start of each network header, and the IP version."""
         types, end = frames.link_type, frames.offset + frames.length
         if len(types) and (types == types[0]).all():
             return self._locate_one(int(types[0]), data, frames.offset, end)
-        network = frames.offset.copy()
+        ip_start = frames.offset.copy()
         version = np.zeros(len(frames), dtype=np.uint8)
         for link_type in np.unique(types):
             rows = np.flatnonzero(types == link_type)
             part = self._locate_one(int(link_type), data, frames.offset[rows], end[rows])
-            network[rows], version[rows] = part.network, part.version
-        return IpHeaders(data, network, version, end)
+            ip_start[rows], version[rows] = part.network, part.version
+        return network.IpHeaders(data, ip_start, version, end)
 
-    def _locate_one(self, link_type: int, data: Octets, offset: Integers, end: Integers) -> IpHeaders:
+    def _locate_one(self, link_type: int, data: Octets, offset: Integers, end: Integers) -> network.IpHeaders:
         if link_type in _PROTOCOL_FIELD:
             size, at = _PROTOCOL_FIELD[link_type]
             if at + 2 < size:
@@ -305,38 +289,38 @@ class Demux:
         version = np.zeros(len(offset), dtype=np.uint8)
         if link_type in _RAW:
             version[:] = read_at(data, offset, np.uint8) >> 4
-            return IpHeaders(data, offset, version, end)
+            return network.IpHeaders(data, offset, version, end)
         if link_type not in _FAMILY_FIELD:
             self.unknown_link_types.add(link_type)
-            return IpHeaders(data, offset, version, end)
+            return network.IpHeaders(data, offset, version, end)
         family = read_at(data, offset, "<u4")
         for value, number in _FAMILY_VERSION.items():
             version[(family == value) | (family == value << 24)] = number
-        return IpHeaders(data, offset + 4, version, end)
+        return network.IpHeaders(data, offset + 4, version, end)
 
-    def _datagrams(self, data: Octets, frames: FrameBatch, transport: IpPayloads) -> PacketBatch:
+    def _datagrams(self, data: Octets, frames: FrameBatch, transport: network.IpPayloads) -> PacketBatch:
         """Read UDP headers; ``frames`` and ``transport`` have the same rows."""
         frame_end = frames.offset + frames.length
         start = np.minimum(transport.position, frame_end)
         have = np.minimum(transport.end, frame_end) - start
-        udp = read_at(data, start, UDP_HEADER) if transport.udp is None else transport.udp
+        udp = read_at(data, start, network.UDP_HEADER) if transport.udp is None else transport.udp
         announced = transport.end - transport.position
         length = udp["length"].astype(np.int64)
-        believed = (length >= UDP_BYTES) & (length <= announced)
+        believed = (length >= network.UDP_BYTES) & (length <= announced)
         if not believed.all():
             length = np.where(believed, length, announced)
         source_port = udp["source_port"].astype(np.uint16)
         destination_port = udp["destination_port"].astype(np.uint16)
-        if len(have) and have.min() < UDP_BYTES:
+        if len(have) and have.min() < network.UDP_BYTES:
             source_port[have < 4] = destination_port[have < 4] = 0
-            length = np.maximum(length, UDP_BYTES)
-            have = np.maximum(have, UDP_BYTES)
+            length = np.maximum(length, network.UDP_BYTES)
+            have = np.maximum(have, network.UDP_BYTES)
         cut = (transport.end > frame_end) | (frames.length < frames.original_length)
         batch = PacketBatch(
             data=data,
             **_heads(frames),
-            offset=np.minimum(start + UDP_BYTES, frame_end),
-            length=(np.minimum(length, have) - UDP_BYTES).astype(np.int32),
+            offset=np.minimum(start + network.UDP_BYTES, frame_end),
+            length=(np.minimum(length, have) - network.UDP_BYTES).astype(np.int32),
             source_address=transport.source,
             source_port=source_port,
             destination_address=transport.destination,
@@ -347,14 +331,14 @@ class Demux:
         )
         return self._assemble(batch, transport) if transport.fragment.any() else batch
 
-    def _assemble(self, batch: PacketBatch, transport: IpPayloads) -> PacketBatch:
+    def _assemble(self, batch: PacketBatch, transport: network.IpPayloads) -> PacketBatch:
         """Write the rows of fragments into the new columns of ``batch``, and add completed datagrams."""
         data, used = [batch.data], batch.data.size
         frame_end = batch.frame_offset + batch.frame_length
         for row in np.flatnonzero(transport.fragment).tolist():
             start, end = int(transport.position[row]), int(transport.end[row])
             payload, ports = self._reassembler.add(
-                Fragment(
+                network.Fragment(
                     key=_key(batch, row, int(transport.identification[row])),
                     time_ns=int(batch.time_ns[row]),
                     start=int(transport.fragment[row]) & 0xFFF8,
@@ -364,15 +348,15 @@ class Demux:
                 )
             )
             batch.source_port[row], batch.destination_port[row] = ports
-            if payload is None or len(payload) < UDP_BYTES:
+            if payload is None or len(payload) < network.UDP_BYTES:
                 batch.length[row] = 0
                 batch.capture_findings[row] |= Finding.FRAGMENT
                 continue
             announced = int.from_bytes(payload[4:6], "big")
-            size = announced if UDP_BYTES <= announced <= len(payload) else len(payload)
-            data.append(np.frombuffer(payload, dtype=np.uint8)[UDP_BYTES:size])
-            batch.offset[row], batch.length[row] = used, size - UDP_BYTES
-            used += size - UDP_BYTES
+            size = announced if network.UDP_BYTES <= announced <= len(payload) else len(payload)
+            data.append(np.frombuffer(payload, dtype=np.uint8)[network.UDP_BYTES : size])
+            batch.offset[row], batch.length[row] = used, size - network.UDP_BYTES
+            used += size - network.UDP_BYTES
         data.append(np.zeros(PADDING, dtype=np.uint8))
         return replace(batch, data=np.concatenate(data))
 
@@ -485,7 +469,7 @@ def _untag(
     protocol: NDArray[np.uint16],
     end: Integers,
     header: NDArray[np.void] | None = None,
-) -> IpHeaders:
+) -> network.IpHeaders:
     """Skip VLAN tags (IEEE 802.1Q, nested too) and return the IP version from the EtherType.
 
     Args:
@@ -503,10 +487,10 @@ def _untag(
         position[rows] += 4
         rows = rows[np.isin(protocol[rows], _VLAN)]
     version = (protocol == _IPV4) * np.uint8(4) + (protocol == _IPV6) * np.uint8(6)
-    return IpHeaders(data, position, version, end, header)
+    return network.IpHeaders(data, position, version, end, header)
 
 
-def _ends(item: Beginning) -> tuple[Endpoint, Endpoint]:
+def _ends(item: network.Beginning) -> tuple[Endpoint, Endpoint]:
     hosts = (str(ip_address(address)) for address in (item.source, item.destination))
     ports = int.from_bytes(item.head[0:2], "big"), int.from_bytes(item.head[2:4], "big")
     source, destination = (Endpoint(host, port) for host, port in zip(hosts, ports, strict=True))
