@@ -60,7 +60,6 @@ if TYPE_CHECKING:
     from edoras_tools.middleware import Qos
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.render.terminal.text import Watcher
-    from edoras_tools.sessions.bridge.bridge import LinkSession
 
 _QUEUE_BYTES: Final = 4 << 20
 _TURNS: Final = 4
@@ -297,7 +296,7 @@ class Station:
         headers = options.headers or cfe.STANDARD
         writer = PacketWriter(checksum=request.checksum, sequence=request.sequence, headers=headers)
         back = [route for route in routes if not route.to_cfs]
-        link: LinkSession
+        link: GroundSession | FlightSession
         if isinstance(bridge.link, GroundLink):
             largest = CI_LARGEST
             add = {route.msg_id: route.handling.to_limit for route in back if route.handling.to_limit}

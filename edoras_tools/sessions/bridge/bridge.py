@@ -17,7 +17,7 @@ connection, and lines about it for people.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any, Final, Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, Literal, TypeVar
 
 import msgspec
 
@@ -168,41 +168,6 @@ _REASONS: Final = 16
 SBN_LARGEST: Final = sbn.LARGEST_PAYLOAD
 
 
-class LinkSession(Protocol):
-    """The protocol with cFS, without the messages; time is an argument, in ns."""
-
-    notes: list[str]
-    """Lines for people; the reader empties the list."""
-    refused: dict[str, int]
-    """Number of refused datagrams, by reason."""
-
-    @property
-    def ready(self) -> bool:
-        """Whether messages may be sent."""
-
-    @property
-    def next_ns(self) -> int | None:
-        """Time at which ``service`` is due, ns; None for never."""
-
-    def receive_datagram(self, data: bytes, *, now: int) -> tuple[int, list[bytes]]:
-        """Process a datagram; return where its space packet starts, -1 for none, and the answers."""
-
-    def service(self, *, now: int) -> list[bytes]:
-        """Do the work that is due; return datagrams to send."""
-
-    def frame(self, packet: bytes) -> bytes:
-        """Return the datagram that carries a packet."""
-
-    def sent(self, *, now: int) -> None:
-        """Note that messages were sent."""
-
-    def goodbye(self) -> list[bytes]:
-        """Return the datagrams to send at the end."""
-
-    def summary(self) -> dict[str, Any]:
-        """Return the session's part of ``bridge --json``."""
-
-
 class BridgeOptions(msgspec.Struct, frozen=True):
     """Options for the packets of a bridge.
 
@@ -264,7 +229,7 @@ class BridgeSession:
     def __init__(
         self,
         routes: Sequence[Route],
-        link: LinkSession,
+        link: GroundSession | FlightSession,
         writer: PacketWriter,
         options: BridgeOptions | None = None,
         sizes: Mapping[str, int | None] | None = None,
