@@ -7,8 +7,7 @@ from statistics import NormalDist, fmean
 
 import pytest
 
-from edoras_tools.addons.runs.differences import difference_interval
-from edoras_tools.addons.runs.limits import tolerance_interval
+from edoras_tools.addons.runs.differences import difference_interval, tolerance_interval
 from edoras_tools.intervals import mean_interval, t_quantile
 
 

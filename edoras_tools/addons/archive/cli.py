@@ -132,8 +132,8 @@ def index_captures(
     Only new and changed captures are read. Exit code 3: some cannot be read whole; the index says which.
     """
     from edoras_tools.addons.archive.index import open_index
+    from edoras_tools.addons.archive.page import update_lines
     from edoras_tools.addons.archive.update import Update, bring_up_to_date
-    from edoras_tools.addons.archive.views import update_lines
 
     if work.jobs and work.scheduler:
         raise ConfigError(
@@ -212,7 +212,7 @@ def _print_rows(kind: str, rows: list[dict[str, Any]], printing: RowOptions) -> 
     elif printing.csv:
         print_csv(rows)
     else:
-        from edoras_tools.addons.archive.views import ROW_TABLES
+        from edoras_tools.addons.archive.page import ROW_TABLES
 
         print_view(lambda width: ROW_TABLES[kind](rows, width))
 
@@ -231,7 +231,7 @@ def query(
     with open_index(index) as opened:
         names, rows = opened.answer(sys.stdin.read() if sql == "-" else sql)
         if printing.json:
-            from edoras_tools.addons.archive.views import json_rows
+            from edoras_tools.addons.archive.page import json_rows
 
             print_json({"columns": names, "rows": json_rows(rows)})
         elif printing.csv:
@@ -239,7 +239,7 @@ def query(
 
             write_csv(names, rows)
         else:
-            from edoras_tools.addons.archive.views import answer_table
+            from edoras_tools.addons.archive.page import answer_table
 
             print_view(lambda width: answer_table(names, rows, width))
 

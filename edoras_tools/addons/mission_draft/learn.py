@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import suppress
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -31,6 +32,7 @@ from edoras_tools.mission import loads
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
+from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
@@ -285,9 +287,7 @@ def joined_constants(chapters: Sequence[Sequence[LearnedConstant]]) -> list[Lear
 
     If the values differ, somebody changed the constant, and the last value is returned.
     """
-    by_name: dict[tuple[str, int | None], list[LearnedConstant]] = {}
-    for item in (item for chapter in chapters for item in chapter):
-        by_name.setdefault((item.name, item.msg_id), []).append(item)
+    by_name = by_key(chain.from_iterable(chapters), lambda item: (item.name, item.msg_id))
     return [_joined(items) for items in by_name.values()]
 
 

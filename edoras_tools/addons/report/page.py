@@ -13,6 +13,7 @@ from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
 from edoras_tools.render import doctor, pages, units
 from edoras_tools.render.doctor import clean_to, limits, told_of
+from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -289,9 +290,7 @@ _REST: Final = tuple(
 
 def links_picture(result: Diagnosis) -> str:
     """Return the picture: a line of boxes for the messages of one path; empty without messages."""
-    ways: dict[tuple[Any, ...], list[Row]] = {}
-    for row in summed(result.balance):
-        ways.setdefault((row.route, row.link, row.msg_id, row.instance), []).append(row)
+    ways = by_key(summed(result.balance), lambda row: (row.route, row.link, row.msg_id, row.instance))
     lanes: dict[tuple[Any, ...], list[list[Row]]] = {}
     for (_, link, _, _), rows in ways.items():
         own = rows[0].route not in result.topics and bool(rows[0].name)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from edoras_tools.addons.runs.limits import range_text
+from edoras_tools.addons.runs.differences import range_text
 from edoras_tools.addons.runs.run import Run, TopicValues
 from edoras_tools.pipelines.workbench import Workbench, open_files
 from edoras_tools.units import SECOND

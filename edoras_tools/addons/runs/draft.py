@@ -16,8 +16,14 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckReport, CheckResult, Figures, Subject
+from edoras_tools.addons.runs.differences import (
+    RunLimit,
+    field_filter,
+    field_limit,
+    loss_limits,
+    topic_limits,
+)
 from edoras_tools.addons.runs.expectations import LOSS_KEYS, TOPIC_BOUNDS, WHOLE_BOUNDS
-from edoras_tools.addons.runs.limits import RunLimit, field_filter, field_limit, loss_limits, topic_limits
 from edoras_tools.cfs.names import message_name
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.filters.names import Names

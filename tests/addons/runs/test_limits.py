@@ -7,8 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from edoras_tools.addons.runs.check import Figures
+from edoras_tools.addons.runs.differences import field_filter, field_limit, topic_limits
 from edoras_tools.addons.runs.expectations import Unit, parse_bound
-from edoras_tools.addons.runs.limits import field_filter, field_limit, topic_limits
 from edoras_tools.addons.runs.run import FieldValues
 
 GOOD = Figures(163, 10.0, 2.0, 1.0, (76, 76), 0.4, 163, 24, 0, 0, "")
