@@ -6,8 +6,8 @@ run's own start. The rules:
 1. With two runs or more on both sides, a figure is worse if its mean changed for the worse by more than the
    tolerance, and the 95 % interval of the difference (Welch) does not contain 0.
 2. Else a loss is worse if at most one in 100 equal runs loses that much more, by the spread that the queue
-   model gives for the earlier runs (``loss_limits``) and by the observed one. A rate or a delay is worse if it
-   changed by more than the tolerance.
+   model gives for the earlier runs (``loss_limits``) and by the observed one. A rate or a delay is worse if
+   it changed by more than the tolerance.
 3. The tolerance of a loss is one percentage point, or 0 if the earlier runs lost nothing; that of a delay is
    at least 10 ms.
 4. A figure of fewer than ``FEWEST`` messages in either run, a delay of fewer than ``FEWEST_DELAYS``, and the

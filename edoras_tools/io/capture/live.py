@@ -51,18 +51,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, OnFailure
-from edoras_tools.io.capture import bpf, tpacket
-from edoras_tools.io.capture.device import (
-    ANY_INTERFACE,
-    Device,
-    DeviceSource,
-    Interface,
-    claim_raw_sockets,
-    denied,
-    find_interface,
-    loopback_index,
-    possible,
-)
+from edoras_tools.io.capture import bpf, device, tpacket
 from edoras_tools.io.capture.scapy_backend import ScapySource
 from edoras_tools.model import InterfaceOutage, SourceInfo
 from edoras_tools.wire.arrays import PADDING, Octets
@@ -192,7 +181,7 @@ class _Piece(NamedTuple):
     packets: int
 
 
-class Ring(Device):
+class Ring(device.Device):
     """A packet socket on one interface, or on all, that receives through a ring.
 
     After the constructor no packet is missed without being counted: ``drops`` counts what does not fit.
@@ -228,8 +217,8 @@ class Ring(Device):
     ) -> None:
         if not hasattr(socket, "AF_PACKET"):
             raise CaptureError("packet rings are a Linux feature: use the scapy back end on this system")
-        device = _existing_interface(interface) if wait else find_interface(interface)
-        if not wait and not device.up:
+        current = _existing_interface(interface) if wait else device.find_interface(interface)
+        if not wait and not current.up:
             raise CaptureError(
                 f"{interface} is down: switch it on with 'ip link set {interface} up', or -i wait:{interface}"
             )
@@ -251,19 +240,19 @@ class Ring(Device):
         """Turn and count of the open block that the barrier waits for."""
         self._barrier = Barrier() if walks else None
         with OnFailure(self._end_barrier):
-            self._open(device)
+            self._open(current)
 
-    def _open(self, interface: Interface) -> None:
+    def _open(self, interface: device.Interface) -> None:
         """Create socket and ring for this kind of interface, and bind it if the interface exists."""
         self._link_type = _LINK_TYPES.get(interface.hardware_type, bpf.LINUX_SLL2)
         if interface.loopback:
             loopback: int | None = interface.index
         else:
-            loopback = loopback_index() if interface.name == ANY_INTERFACE else None
+            loopback = device.loopback_index() if interface.name == device.ANY_INTERFACE else None
         cooked = self._link_type == bpf.LINUX_SLL2
         # The kernel marks packets of several datagrams, but not on a cooked socket. A socket of all
         # interfaces is therefore raw, and cooked headers are written by ``tpacket``.
-        self._marked = _marks_segments() and (not cooked or interface.name == ANY_INTERFACE)
+        self._marked = _marks_segments() and (not cooked or interface.name == device.ANY_INTERFACE)
         program = bpf.port_filter(
             self._link_type,
             self._ports,
@@ -283,7 +272,7 @@ class Ring(Device):
             self._socket.close()
             raise CaptureError(f"{interface.name}: {error.strerror}") from error
 
-    def _start(self, interface: Interface, program: Sequence[bpf.Instruction]) -> None:
+    def _start(self, interface: device.Interface, program: Sequence[bpf.Instruction]) -> None:
         """Set filter, then ring, then bind: in this order, every packet in the ring has passed the filter."""
         bpf.attach_program(self._socket, program)
         self._socket.setsockopt(_SOL_PACKET, _PACKET_VERSION, _TPACKET_V3)
@@ -297,14 +286,14 @@ class Ring(Device):
             with contextlib.suppress(OSError):  # before Linux 4.20 only the filter does it
                 self._socket.setsockopt(_SOL_PACKET, _PACKET_IGNORE_OUTGOING, 1)
         self._bound = 0
-        if interface.name == ANY_INTERFACE:
+        if interface.name == device.ANY_INTERFACE:
             self._bind_all()
         elif interface.index:
             self._bind(interface)
         if not (interface.up and interface.carrier):
             self._leave(interface)
 
-    def _bind(self, interface: Interface) -> None:
+    def _bind(self, interface: device.Interface) -> None:
         """Receive from an interface; if it is down, the kernel attaches it when it comes up."""
         if not interface.loopback:
             member = struct.pack("=iHH8s", interface.index, _PACKET_MR_PROMISC, 0, b"")
@@ -467,7 +456,9 @@ class Ring(Device):
         if error not in (0, errno.ENETDOWN):
             return f"{self.info.name}: {os.strerror(error)}"
         now = time.monotonic()
-        if self.info.name == ANY_INTERFACE or not (error or self._away or now - self._watched >= _WATCH_S):
+        if self.info.name == device.ANY_INTERFACE or not (
+            error or self._away or now - self._watched >= _WATCH_S
+        ):
             return None
         self._watched = now
         try:
@@ -486,26 +477,26 @@ class Ring(Device):
         Raises:
             CaptureError: it came back as another kind of interface, and no socket may be opened for it.
         """
-        device = _existing_interface(self.info.name)
-        if device.index and device.index != self._bound:
-            if _LINK_TYPES.get(device.hardware_type, bpf.LINUX_SLL2) != self._link_type:
+        current = _existing_interface(self.info.name)
+        if current.index and current.index != self._bound:
+            if _LINK_TYPES.get(current.hardware_type, bpf.LINUX_SLL2) != self._link_type:
                 if not self.drained():
                     return
-                self._reopen(device)
+                self._reopen(current)
             else:
                 with contextlib.suppress(OSError):  # gone again
-                    self._bind(device)
-        is_present = device.up and device.carrier and device.index == self._bound
+                    self._bind(current)
+        is_present = current.up and current.carrier and current.index == self._bound
         if is_present and self._away:
             back_ns = min(self._back_ns or time.time_ns(), time.time_ns())
             self.outages[-1] = replace(self.outages[-1], end_ns=back_ns)
         elif not is_present and not self._away:
-            self._leave(device)
+            self._leave(current)
         elif is_present and was_down:  # down and up again between two checks
-            self._leave(replace(device, up=False))
+            self._leave(replace(current, up=False))
             self.outages[-1] = replace(self.outages[-1], end_ns=self.outages[-1].start_ns)
 
-    def _leave(self, interface: Interface) -> None:
+    def _leave(self, interface: device.Interface) -> None:
         why = "not there" if not interface.index else "without carrier" if interface.up else "down"
         self.outages.append(InterfaceOutage(interface.name, why, time.time_ns()))
         self._back_ns = 0
@@ -516,7 +507,7 @@ class Ring(Device):
             after = frames.time_ns[frames.time_ns > self.outages[-1].start_ns]
             self._back_ns = int(after[0]) if len(after) else 0
 
-    def _reopen(self, interface: Interface) -> None:
+    def _reopen(self, interface: device.Interface) -> None:
         """Open a new socket under the old file descriptor, so that threads that poll it need not know."""
         before = self._socket
         self._release()
@@ -546,25 +537,25 @@ def _socket(interface: str, *, cooked: bool) -> socket.socket:
     kind = socket.SOCK_DGRAM if cooked else socket.SOCK_RAW
     with contextlib.suppress(PermissionError):
         return socket.socket(socket.AF_PACKET, kind, 0)
-    claim_raw_sockets()
+    device.claim_raw_sockets()
     try:
         return socket.socket(socket.AF_PACKET, kind, 0)
     except PermissionError:
-        raise denied(interface) from None
+        raise device.denied(interface) from None
 
 
-def _existing_interface(name: str) -> Interface:
+def _existing_interface(name: str) -> device.Interface:
     """Look up an interface that may be away; if so, it has index 0 and is assumed to be Ethernet.
 
     Raises:
         CaptureError: no interface can have that name.
     """
     try:
-        return find_interface(name)
+        return device.find_interface(name)
     except CaptureError:
-        if not possible(name):
+        if not device.possible(name):
             raise
-        return Interface(name, index=0, hardware_type=1, up=False, loopback=False, carrier=False)
+        return device.Interface(name, index=0, hardware_type=1, up=False, loopback=False, carrier=False)
 
 
 def _marks_segments() -> bool:
@@ -587,7 +578,7 @@ def open_live(
     ready: Callable[[], None] | None = None,
     on_outage: Callable[[InterfaceOutage], None] | None = None,
     wait: bool = False,
-) -> DeviceSource:
+) -> device.DeviceSource:
     """Start capturing from an interface: through a ring shared with the kernel; without Linux, with scapy.
 
     Args:
@@ -604,5 +595,5 @@ def open_live(
     """
     if hasattr(socket, "AF_PACKET"):
         ring = Ring(interface, ports, streams=streams, begins=begins, wait=wait)
-        return DeviceSource(ring, ready=ready, on_outage=on_outage)
+        return device.DeviceSource(ring, ready=ready, on_outage=on_outage)
     return ScapySource(interface, ports, streams=streams, begins=begins, ready=ready)

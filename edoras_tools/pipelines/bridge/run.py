@@ -39,14 +39,7 @@ from edoras_tools.mission import GroundLink, Route
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.bridge.plan import BridgePlan, BridgeRequest, StationPlan, qos_of, sizes_of
 from edoras_tools.pipelines.reading import on_interrupt, threads_take_turns, watched
-from edoras_tools.sessions.bridge.bridge import (
-    CI_LARGEST,
-    SBN_LARGEST,
-    BridgeOptions,
-    BridgeSession,
-    FlightSession,
-    GroundSession,
-)
+from edoras_tools.sessions.bridge import bridge
 from edoras_tools.sessions.bridge.packets import PacketWriter
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays import by_key
@@ -291,26 +284,28 @@ class Station:
             ) from failure
         return routes, publish
 
-    def _machine(self, routes: list[Route], whole: BridgePlan, request: BridgeRequest) -> BridgeSession:
-        bridge, options, now = self.plan.bridge, whole.settings.options, time.monotonic_ns()
+    def _machine(
+        self, routes: list[Route], whole: BridgePlan, request: BridgeRequest
+    ) -> bridge.BridgeSession:
+        settings, options, now = self.plan.bridge, whole.settings.options, time.monotonic_ns()
         headers = options.headers or cfe.STANDARD
         writer = PacketWriter(checksum=request.checksum, sequence=request.sequence, headers=headers)
         back = [route for route in routes if not route.to_cfs]
-        link: GroundSession | FlightSession
-        if isinstance(bridge.link, GroundLink):
-            largest = CI_LARGEST
+        link: bridge.GroundSession | bridge.FlightSession
+        if isinstance(settings.link, GroundLink):
+            largest = bridge.CI_LARGEST
             add = {route.msg_id: route.handling.to_limit for route in back if route.handling.to_limit}
-            address = _local_address(bridge.link) if request.enable else None
-            link = GroundSession(writer, address, add, now=now)
+            address = _local_address(settings.link) if request.enable else None
+            link = bridge.GroundSession(writer, address, add, now=now)
         else:
-            largest, far = SBN_LARGEST, bridge.link
+            largest, far = bridge.SBN_LARGEST, settings.link
             own = Peer(far.spacecraft_id, far.processor_id)
             peer = Peer(far.peer_spacecraft_id, far.peer_processor_id)
-            link = FlightSession(own, peer, [route.msg_id for route in back], now=now, headers=headers)
-        bridge_options = BridgeOptions(
-            headers, options.envelope or str(DEFAULT), bridge.max_size or largest, bridge.max_rate_total
+            link = bridge.FlightSession(own, peer, [route.msg_id for route in back], now=now, headers=headers)
+        bridge_options = bridge.BridgeOptions(
+            headers, options.envelope or str(DEFAULT), settings.max_size or largest, settings.max_rate_total
         )
-        return BridgeSession(routes, link, writer, bridge_options, sizes_of(whole.types, routes))
+        return bridge.BridgeSession(routes, link, writer, bridge_options, sizes_of(whole.types, routes))
 
     def _give(self, publish: list[Callable[[bytes], None]], index: int, cdr: bytes) -> bool:
         try:

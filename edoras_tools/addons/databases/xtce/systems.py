@@ -17,16 +17,7 @@ import msgspec
 from msgspec.structs import replace
 
 from edoras_tools.addons.databases import placement
-from edoras_tools.addons.databases.xtce.types import (
-    SYSTEM,
-    TYPE_KINDS,
-    Declarations,
-    Declared,
-    ValueTypes,
-    bits_of,
-    fixed_value,
-    number,
-)
+from edoras_tools.addons.databases.xtce import types
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.files import Database
 from edoras_tools.structs.shapes import BASIC, COMMANDED, PACKETS, ByteOrder, Key, StructLayout
@@ -48,7 +39,7 @@ _READ: Final = frozenset(
     StaticAlarmRanges StringDataEncoding TelemetryMetaData Term TerminationChar Unit UnitSet ValidRange
     ValidRangeSet WarningRange WatchRange
     """.split()  # noqa: SIM905  read as a text
-).union(f"{kind}{role}Type" for kind in TYPE_KINDS for role in ("Argument", "Parameter"))
+).union(f"{kind}{role}Type" for kind in types.TYPE_KINDS for role in ("Argument", "Parameter"))
 _QUIET: Final = frozenset(
     """
     AlgorithmSet AliasSet AncillaryDataSet BinaryEncoding DefaultRateInStream DefaultSignificance
@@ -128,7 +119,7 @@ class _Content(msgspec.Struct):
 
 def is_system(data: bytes) -> bool:
     """Return whether a file is a space system of XTCE."""
-    return placement.has_root(data, SYSTEM)
+    return placement.has_root(data, types.SYSTEM)
 
 
 def read_systems(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) -> StructLayout:
@@ -146,12 +137,12 @@ def read_systems(files: Sequence[tuple[bytes, str]], flags: Sequence[str] = ()) 
     notes = placement.Notes()
     roots = []
     for root in (placement.parse_document(*file) for file in files):
-        if root.tag == SYSTEM:
+        if root.tag == types.SYSTEM:
             roots.append(root)
             notes.unread(root, _READ, _QUIET)
         else:
             notes.add(root, f"{root.tag} is no space system")
-    names = Declarations(roots, notes)
+    names = types.Declarations(roots, notes)
     before = placement.Notes(notes)
     reader = _Reader(names, "big", notes)
     orders = reader.orders(reader.contents)
@@ -175,12 +166,14 @@ class _Reader:
         contents: known structure of each container and each command, by kind and path.
     """
 
-    def __init__(self, names: Declarations, order: ByteOrder, notes: placement.Notes) -> None:
+    def __init__(self, names: types.Declarations, order: ByteOrder, notes: placement.Notes) -> None:
         self._names, self._order, self._notes = names, order, notes
-        self._types = ValueTypes(names, order, notes)
+        self._types = types.ValueTypes(names, order, notes)
         self.contents = dict(self._contents())
 
-    def orders(self, contents: Mapping[tuple[str, str], tuple[Declared, _Content]]) -> Counter[ByteOrder]:
+    def orders(
+        self, contents: Mapping[tuple[str, str], tuple[types.Declared, _Content]]
+    ) -> Counter[ByteOrder]:
         """Count numbers by byte order: in packets; else in cFE's own packets; else in all containers."""
         counts: tuple[Counter[ByteOrder], ...] = Counter(), Counter(), Counter()
         for item, content in contents.values():
@@ -200,7 +193,7 @@ class _Reader:
         Raises:
             ConfigError: there is no container and no command.
         """
-        types, notes = self._types, self._notes
+        declared, notes = self._types, self._notes
         contents = self.contents
         parted = {
             base.path
@@ -229,13 +222,13 @@ class _Reader:
             name = self._struct(item, content, 8 * header, parted=path in parted)
             if key is not None and not is_part and bindings.setdefault(key, name) != name:
                 notes.add(item.node, f"{key} is {bindings[key]} already, not {name}")
-        if not types.structs:
+        if not declared.structs:
             raise ConfigError(*(notes.lines() or (f"{origin}: no container and no command in it",)))
         return StructLayout(
-            types.structs, types.enums, bindings, self._order, origin=origin, notes=notes.lines()
+            declared.structs, declared.enums, bindings, self._order, origin=origin, notes=notes.lines()
         )
 
-    def _contents(self) -> Iterator[tuple[tuple[str, str], tuple[Declared, _Content]]]:
+    def _contents(self) -> Iterator[tuple[tuple[str, str], tuple[types.Declared, _Content]]]:
         """Yield the structure of each container and each command, by kind and path."""
         for kind in ("container", "command"):
             for item in self._names.all(kind):
@@ -251,10 +244,10 @@ class _Reader:
 
     def _bits(self, slot: _Slot) -> Iterator[_Slot]:
         """Yield the numbers in a slot as separate slots."""
-        for part in bits_of(self._types, slot.key, slot.data_type):
+        for part in types.bits_of(self._types, slot.key, slot.data_type):
             yield slot._replace(key=part.name, bit=slot.bit + part.bit, data_type=part.data_type)
 
-    def _content(self, item: Declared) -> _Content:
+    def _content(self, item: types.Declared) -> _Content:
         """Return the structure of the packets of a container or a command.
 
         Raises:
@@ -277,7 +270,7 @@ class _Reader:
                 content.own = begin
         return content
 
-    def _base(self, item: Declared) -> Declared | None:
+    def _base(self, item: types.Declared) -> types.Declared | None:
         tag, key = _BASES[item.kind]
         holder = next(item.node.inside(tag), None)
         if holder is None and item.kind == "command":  # its container may have a base of no command
@@ -285,7 +278,7 @@ class _Reader:
                 return self._names.find("container", inner.required("containerRef"), item.system)
         return self._names.find(item.kind, holder.required(key), item.system) if holder is not None else None
 
-    def _assign(self, item: Declared, chain: Sequence[Declared], content: _Content) -> None:
+    def _assign(self, item: types.Declared, chain: Sequence[types.Declared], content: _Content) -> None:
         """Store the values that a command assigns to the arguments of its bases."""
         for node in item.node.inside("BaseMetaCommand", "ArgumentAssignmentList", "ArgumentAssignment"):
             name, text = node.required("argumentName"), node.required("argumentValue")
@@ -295,7 +288,7 @@ class _Reader:
                         kind = self._names.type_of("argument", argument, other.system)
                         content.values[name] = self._value(kind, text, node)
 
-    def _restrict(self, item: Declared, holder: placement.Node, content: _Content) -> None:
+    def _restrict(self, item: types.Declared, holder: placement.Node, content: _Content) -> None:
         """Store the values that a container's conditions require."""
         for base in holder.inside("BaseContainer", "RestrictionCriteria"):
             for node in base.walk():
@@ -312,13 +305,15 @@ class _Reader:
                     kind = self._names.find(kind.kind, members[name].required("typeRef"), kind.system)
                 content.values[declared.path + member] = self._value(kind, node.required("value"), node)
 
-    def _value(self, kind: Declared, text: str, node: placement.Node) -> int:
+    def _value(self, kind: types.Declared, text: str, node: placement.Node) -> int:
         """Return the number of a text in a condition or an assignment."""
         self._types.find(kind)
         labels = self._types.labels.get(kind.path, {})
-        return labels[text] if text in labels else int(number(node, text))
+        return labels[text] if text in labels else int(types.number(node, text))
 
-    def _entries(self, item: Declared, holder: placement.Node, content: _Content, depth: int = 0) -> None:
+    def _entries(
+        self, item: types.Declared, holder: placement.Node, content: _Content, depth: int = 0
+    ) -> None:
         """Append the entries of a container, until one has no fixed position."""
         for entry in (node for each in holder.inside("EntryList") for node in each.children):
             if content.stop is not None:
@@ -331,7 +326,7 @@ class _Reader:
             except placement.SheetError as error:
                 content.stop = entry, str(error)
 
-    def _entry(self, item: Declared, entry: placement.Node, content: _Content, depth: int) -> None:
+    def _entry(self, item: types.Declared, entry: placement.Node, content: _Content, depth: int) -> None:
         bit = self._location(entry, content.end)
         for tag in ("IncludeCondition", "RepeatEntry"):
             if next(entry.inside(tag), None) is not None:
@@ -343,7 +338,7 @@ class _Reader:
             return
         if entry.tag == "FixedValueEntry":
             digits = entry.required("binaryValue")
-            bits = int(number(entry, entry.required("sizeInBits")))
+            bits = int(types.number(entry, entry.required("sizeInBits")))
             if not 0 < bits <= 1 << 16 or not re.fullmatch(r"[0-9A-Fa-f]*", digits):
                 raise placement.SheetError("FixedValueEntry is no hexadecimal number of so many bits")
             value = int(digits or "0", 16) & ((1 << bits) - 1)
@@ -368,15 +363,15 @@ class _Reader:
         if data_type.variable:
             content.stop = entry, f"the length of {declared.node.name} is in the packet"
 
-    def _look_up(self, role: str, name: str, item: Declared) -> Declared:
+    def _look_up(self, role: str, name: str, item: types.Declared) -> types.Declared:
         """Return the parameter or argument that an entry refers to."""
         if role == "parameter":
             return self._names.find(role, name, item.system)
-        command: Declared | None = item
+        command: types.Declared | None = item
         while command is not None:
             for node in command.node.inside("ArgumentList", "Argument"):
                 if node.name == name:
-                    return Declared("argument", f"{command.system}/{name}", node)
+                    return types.Declared("argument", f"{command.system}/{name}", node)
             command = self._base(command)
         raise placement.SheetError(f"argument {name} is in none of these files")
 
@@ -386,7 +381,7 @@ class _Reader:
         if holder is None:
             return end
         place = holder.attributes.get("referenceLocation", "previousEntry")
-        offset = fixed_value(holder)
+        offset = types.fixed_value(holder)
         if offset is None or place not in {"previousEntry", "containerStart"}:
             raise placement.SheetError(f"its place is counted from {place}, or is in the packet")
         bit = offset + (end if place == "previousEntry" else 0)
@@ -394,7 +389,7 @@ class _Reader:
             raise placement.SheetError(f"bit {bit} is before the packet")
         return bit
 
-    def _key(self, item: Declared, content: _Content) -> tuple[Key | None, int]:
+    def _key(self, item: types.Declared, content: _Content) -> tuple[Key | None, int]:
         """Return the packets of a container or a command, and the size of their header, bytes.
 
         The packets are None if the APID is not given, or if they are not cFE's.
@@ -429,7 +424,7 @@ class _Reader:
                 value |= own << shift if shift >= 0 else own >> -shift
         return value & ((1 << bits) - 1), mask & ((1 << bits) - 1)
 
-    def _struct(self, item: Declared, content: _Content, header: int, *, parted: bool) -> str:
+    def _struct(self, item: types.Declared, content: _Content, header: int, *, parted: bool) -> str:
         """Lay out the entries behind a header of some bits; return the name of the struct.
 
         Args:
