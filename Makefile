@@ -10,7 +10,7 @@ SOAK_RATE ?= 1000
 WORKERS := --workers 3
 # Python keeps what it compiled: else it takes three times as long to collect the tests.
 unexport PYTHONDONTWRITEBYTECODE
-QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis render addons/tui/data io/formats io/frames)
+QUICK := $(addprefix tests/,wire cfs mission ros structs sessions diagnosis render addons/tui/test_store.py addons/tui/test_search.py io/formats io/frames)
 SEARCHES := $(addprefix --ignore=tests/,$(addprefix diagnosis/,test_variants.py test_cuts.py test_truth.py) \
 	$(addprefix io/formats/,mcap/test_recover.py test_capture_file.py))
 

@@ -136,7 +136,7 @@ def demo(
 
 def _tour(output: Path | None, duration: int | None, *, force: bool) -> None:
     from edoras_tools.addons.lab.demo.run import tour
-    from edoras_tools.addons.lab.views.view import Guide
+    from edoras_tools.addons.lab.views import Guide
     from edoras_tools.render.terminal.palette import detect_terminal
 
     seconds = duration / 1e9 if duration else _TOUR_S
@@ -152,20 +152,20 @@ def _tour(output: Path | None, duration: int | None, *, force: bool) -> None:
 
 def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> None:
     """Run a demo and print its result."""
+    from edoras_tools.addons.lab import views
     from edoras_tools.addons.lab.demo.run import Demo
-    from edoras_tools.addons.lab.views import view
     from edoras_tools.render.terminal.palette import detect_terminal
 
     json, quiet = printing
     shows = not quiet and not json and detect_terminal(sys.stderr).interactive
     running = Demo(plan, None if shows or quiet else tell)
-    table = partial(view.live_table, output=plan.output) if shows else None
+    table = partial(views.live_table, output=plan.output) if shows else None
     failure = run_relay(running, partial(_begin, running, quiet=quiet), duration_ns, table) or running.failure
     summary = running.summary()
     if json:
         print_json(summary)
     elif not quiet:
-        print_view(lambda width: view.outcome(summary, running.tracks, width, plan.output))
+        print_view(lambda width: views.outcome(summary, running.tracks, width, plan.output))
     if failure is not None:
         raise failure
     if summary["lost"]:
@@ -176,7 +176,7 @@ def _begin(running: Demo, *, quiet: bool) -> None:
     """Print what is emulated, and where it is shown."""
     if quiet:
         return
-    from edoras_tools.addons.lab.views.view import beside
+    from edoras_tools.addons.lab.views import beside
 
     say(f"emulated {running.plan.scenario}, recorded to {running.plan.output}; Ctrl-C ends")
     say(beside(running.summary()))
@@ -443,9 +443,9 @@ def sweep(
 
     For example: edoras sweep /cmd_vel -c rover.yaml, or with an emulated cFS: --sim rover
     """
+    from edoras_tools.addons.lab import views
     from edoras_tools.addons.lab.sweep.plan import route_of
     from edoras_tools.addons.lab.sweep.run import sweep as carry_out
-    from edoras_tools.addons.lab.views import view
     from edoras_tools.io.outputs import check_new
     from edoras_tools.links.table import links
     from edoras_tools.render.plot import svg
@@ -474,20 +474,20 @@ def sweep(
         if json:
             print_json(summary)
         else:
-            print_view(view.sweep_plan(summary))
+            print_view(views.sweep_plan(summary))
         return
     if steps.sim is None:
         assert send_options.target is not None
         sending.confirm_targets(send_options.target, confirmed=how.yes)
         if send_options.listen is not None:
             tell_reach(send_options.listen, "answer")
-    with view.step_status(quiet=quiet) as trying:
+    with views.step_status(quiet=quiet) as trying:
         result = carry_out(plan, bench, trying=trying)
     summary = result.summary()
     if json:
         print_json(summary)
     elif not quiet and (result.steps or result.failure is None):
-        print_view(lambda width: view.sweep_outcome(summary, width))
+        print_view(lambda width: views.sweep_outcome(summary, width))
     if result.steps:
         _draw(summary, pictures)
     if result.failure is not None:
@@ -497,7 +497,7 @@ def sweep(
 
 
 def _draw(summary: dict[str, Any], pictures: dict[str, Path]) -> None:
-    from edoras_tools.addons.lab.views.view import chart, threshold_line
+    from edoras_tools.addons.lab.views import chart, threshold_line
     from edoras_tools.io.outputs import write_bytes
     from edoras_tools.render.plot.svg import PLOT_WIDTH, plot_svg, png
 
@@ -524,7 +524,7 @@ def experiment(
     For example, PLAN.yaml: {scenario: rover, settings: {rate: [5, 10]}, runs: 5..40, width: 1%}
     """
     from edoras_tools.addons.lab.experiment import Experiment, load_plan
-    from edoras_tools.addons.lab.views.view import cells_table, step_status
+    from edoras_tools.addons.lab.views import cells_table, step_status
     from edoras_tools.io.net.sockets import parse_endpoint
 
     plan_ = load_plan(plan)
@@ -547,7 +547,7 @@ def prove(inputs: InputOptions, settings: Settings, printing: PrintOptions, task
         Exit: the model does not explain the losses, or an advice does not keep its promise.
     """
     from edoras_tools.addons.lab.proof import prove_capture
-    from edoras_tools.addons.lab.views.view import proof_picture, proof_view
+    from edoras_tools.addons.lab.views import proof_picture, proof_view
 
     output = task.output
     if output is not None:

@@ -12,11 +12,11 @@ from textual import work
 from textual.binding import Binding
 from textual.worker import get_current_worker
 
-from edoras_tools.addons.tui.data.store import matcher, next_number
 from edoras_tools.addons.tui.lists.control_room import Drawing
 from edoras_tools.addons.tui.lists.lines import Lines
 from edoras_tools.addons.tui.panes import Panes
 from edoras_tools.addons.tui.prompts import Sheet
+from edoras_tools.addons.tui.store import matcher, next_number
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import EdorasError
@@ -32,7 +32,7 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from edoras_tools.addons.tui.data.store import Part
+    from edoras_tools.addons.tui.store import Part
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.capture.tree import TreeRow
 

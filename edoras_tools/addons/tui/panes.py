@@ -19,13 +19,13 @@ from textual.containers import Horizontal, Vertical
 from textual.theme import Theme
 from textual.widgets import ContentSwitcher, Footer, Static
 
-from edoras_tools.addons.tui.data.store import Store
 from edoras_tools.addons.tui.lists.control_room import Drawing, RateGraph, SequenceView
 from edoras_tools.addons.tui.lists.hex_pane import WIDE, HexPane
 from edoras_tools.addons.tui.lists.layers import Layers
 from edoras_tools.addons.tui.lists.lines import HeaderLine, Lines, Packets
 from edoras_tools.addons.tui.lists.routes import Routes
 from edoras_tools.addons.tui.prompts import FilterLine, Prompt, Sheet
+from edoras_tools.addons.tui.store import Store
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.reading import Limits

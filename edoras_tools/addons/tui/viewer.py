@@ -16,7 +16,6 @@ from textual.widgets import Input
 from textual.worker import get_current_worker
 
 from edoras_tools import doors
-from edoras_tools.addons.tui.data.store import PacketBlock, WatchThread, field_figure, rate_figure, sort_order
 from edoras_tools.addons.tui.lists.control_room import Drawing, finding_rows, room_rows, sum_rows
 from edoras_tools.addons.tui.lists.hex_pane import HexPane
 from edoras_tools.addons.tui.lists.lines import Lines
@@ -24,6 +23,7 @@ from edoras_tools.addons.tui.lists.routes import Routes
 from edoras_tools.addons.tui.navigation import Navigation
 from edoras_tools.addons.tui.panes import VIEWS, ViewOptions
 from edoras_tools.addons.tui.prompts import FilterLine
+from edoras_tools.addons.tui.store import PacketBlock, WatchThread, field_figure, rate_figure, sort_order
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.decode.filters.syntax import WhereError
 from edoras_tools.errors import EdorasError
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from rich.text import Text
     from textual.driver import Driver
 
-    from edoras_tools.addons.tui.data.store import Part
+    from edoras_tools.addons.tui.store import Part
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Source
     from edoras_tools.pipelines.workbench import Settings, Workbench

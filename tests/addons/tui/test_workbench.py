@@ -10,9 +10,9 @@ import pytest
 from places import ROOT
 from rich.console import Console
 
-from edoras_tools.addons.tui.data.store import WatchThread, _round_before, rate_figure
 from edoras_tools.addons.tui.lists.control_room import finding_rows, room_rows
 from edoras_tools.addons.tui.navigation import joined_filter
+from edoras_tools.addons.tui.store import WatchThread, _round_before, rate_figure
 from edoras_tools.io.net.buffer import UdpSource
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.workbench import Settings, open_files

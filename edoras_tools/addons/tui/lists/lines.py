@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from textual import events
 
-    from edoras_tools.addons.tui.data.store import Store
+    from edoras_tools.addons.tui.store import Store
     from edoras_tools.decode.context import Context
     from edoras_tools.pipelines.capture.sniff import Column
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from edoras_tools.addons.lab.views import view
+from edoras_tools.addons.lab import views
 from edoras_tools.render.plot.figure import ticks
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.plot.terminal import plot_lines
@@ -50,7 +50,7 @@ BY_SIZE = {
 
 def shown(summary, width=80):
     console = Console(width=width, file=io.StringIO(), color_system=None)
-    console.print(view.sweep_outcome(summary, width))
+    console.print(views.sweep_outcome(summary, width))
     return [line.rstrip() for line in console.file.getvalue().splitlines()]
 
 
@@ -74,12 +74,12 @@ def test_steps_stand_in_order_and_the_limit_in_words():
     ],
 )
 def test_the_threshold_in_words(changes, words):
-    assert view.threshold_line({**SUMMARY, **changes}) == words
+    assert views.threshold_line({**SUMMARY, **changes}) == words
 
 
 def test_sizes_have_their_own_words():
-    assert view.threshold_line(BY_SIZE) == "between 800 and 900 bytes"
-    clean = view.chart(BY_SIZE).panels[0].lines[2]
+    assert views.threshold_line(BY_SIZE) == "between 800 and 900 bytes"
+    clean = views.chart(BY_SIZE).panels[0].lines[2]
     assert (clean.label, clean.seconds.tolist(), clean.values.tolist()) == ("all arrived", [800], [100])
 
 
@@ -89,7 +89,7 @@ def test_a_sweep_that_has_no_step_yet():
 
 
 def test_the_chart_in_cells():
-    lines = [str(line) for line in plot_lines(view.chart(SUMMARY), 60, colour=False)]
+    lines = [str(line) for line in plot_lines(views.chart(SUMMARY), 60, colour=False)]
     assert max(len(line) for line in lines) <= 60
     assert lines[1] == "━ what was asked for  ━ threshold  ● all arrived"
     field = lines[3:13]
@@ -126,13 +126,13 @@ def test_any_sweep_can_be_drawn(pairs, width):
         }
         for rate, share in pairs
     ]
-    drawn = view.chart({**SUMMARY, "steps": steps})
+    drawn = views.chart({**SUMMARY, "steps": steps})
     assert all(len(line) <= width for line in plot_lines(drawn, width, colour=True))
     ET.fromstring(plot_svg(drawn))
 
 
 def test_svg_stands_alone_and_is_escaped():
-    text = plot_svg(view.chart({**SUMMARY, "route": "/a<b>&c"}, "threshold <here>"))
+    text = plot_svg(views.chart({**SUMMARY, "route": "/a<b>&c"}, "threshold <here>"))
     root = ET.fromstring(text)
     assert "/a<b>&c, 0x1827" in "".join(root.itertext())
     dots = [item for item in root if item.get("stroke-linecap") == "round" and "M" in item.get("d")]

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from edoras_tools.addons.lab.views import view
-from edoras_tools.addons.lab.views.view import draw_tracks, joints
+from edoras_tools.addons.lab import views
+from edoras_tools.addons.lab.views import draw_tracks, joints
 
 
 def plain(lines):
@@ -123,7 +123,7 @@ def text(renderable, width):
 
 @pytest.mark.parametrize("width", [60, 80, 120, 200])
 def test_the_outcome_says_all_within_its_width(summary, width):
-    shown = text(view.outcome(summary, Running.tracks, width, NOWHERE), width)
+    shown = text(views.outcome(summary, Running.tracks, width, NOWHERE), width)
     assert all(len(line) <= width for line in shown.splitlines())
     assert "Arrived" in shown
     if width >= 120:
@@ -144,16 +144,16 @@ def test_the_outcome_says_all_within_its_width(summary, width):
 def test_arms_are_shown_by_their_joints(summary):
     robot = summary["robots"][0]
     robot["commands"]["type"], robot["place"], robot["way"] = "geometry_msgs/msg/Pose", [1.0] * 7, 2.5
-    shown = text(view.outcome(summary, Running.tracks, 120, NOWHERE), 120)
+    shown = text(views.outcome(summary, Running.tracks, 120, NOWHERE), 120)
     assert "joint 8   1.00 ███" in shown
     assert "its joints turned 2.5 rad together" in shown
 
 
 def test_what_is_on_its_way_is_told_unless_others_blur_the_count(summary):
     robot = summary["robots"][0]
-    assert not any("on their way" in line for line in view.loss_lines(summary))
+    assert not any("on their way" in line for line in views.loss_lines(summary))
     robot["commands"] |= {"others_said": 0, "said": 138}
-    told = [line for line in view.loss_lines(summary) if "on their way" in line]
+    told = [line for line in views.loss_lines(summary) if "on their way" in line]
     assert told[0].startswith("robot_1: commands: 3 on their way at the end")
     assert told[1].startswith("robot_1: states: 30 on their way")
 
@@ -161,22 +161,22 @@ def test_what_is_on_its_way_is_told_unless_others_blur_the_count(summary):
 def test_a_robot_that_nobody_heard_of_is_told(summary):
     summary["robots"][0]["place"] = []
     summary["robots"][0]["commands"]["latency_us"] = dict.fromkeys(("p50", "p99", "max"))
-    shown = text(view.outcome(summary, [[]], 120, NOWHERE), 120)
+    shown = text(views.outcome(summary, [[]], 120, NOWHERE), 120)
     assert "no state of it arrived" in shown
     assert "waiting for the first pose" in shown
 
 
 def test_the_command_to_look_at_it_names_the_ports(summary):
-    assert view.beside(summary).endswith(
+    assert views.beside(summary).endswith(
         "edoras sniff -i lo --set port=ci:1 --set port=to:2 --set port=sbn:3"
     )
     del summary["ports"]["sbn"]
-    assert view.beside(summary).endswith("--set port=to:2")
+    assert views.beside(summary).endswith("--set port=to:2")
 
 
 def test_it_is_drawn_while_it_runs(summary):
     console = Console(width=140, height=40, file=io.StringIO(), force_terminal=True, color_system=None)
-    with view.live_table(console, NOWHERE) as table:
+    with views.live_table(console, NOWHERE) as table:
         table.update(Running(summary))
         table.update(Running(summary))
     shown = console.file.getvalue()

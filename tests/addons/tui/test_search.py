@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ROOT
 
-from edoras_tools.addons.tui.data.store import PacketBlock, Store, matcher, next_number
+from edoras_tools.addons.tui.store import PacketBlock, Store, matcher, next_number
 from edoras_tools.pipelines.workbench import Settings, open_files
 
 MISSIONS = [ROOT / f"samples/missions/two_rovers_{side}.yaml" for side in ("ground", "flight")]

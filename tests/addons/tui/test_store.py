@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ROOT
 
-from edoras_tools.addons.tui.data.store import PacketBlock, Store, join_blocks, sort_order
+from edoras_tools.addons.tui.store import PacketBlock, Store, join_blocks, sort_order
 from edoras_tools.decode.filters.filter import Where
 from edoras_tools.decode.lines import line_of
 from edoras_tools.model import Columns
