@@ -39,13 +39,13 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(56_286, 150, 58_000),
-    "lines with code, all": Limit(89_607, 150, 84_000),  # with what is still to come
-    "files": Limit(410, 10, 450),
-    "files below 170 lines, of 1,000": Limit(256, 10, 500),  # a median of 170 lines or more
+    "lines with code, core": Limit(56_097, 150, 58_000),
+    "lines with code, all": Limit(89_231, 150, 84_000),  # with what is still to come
+    "files": Limit(387, 10, 450),
+    "files below 170 lines, of 1,000": Limit(251, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
-    "files that record runs through": Limit(82, 2, 80),
-    "files that sniff --where runs through": Limit(83, 2, 80),
+    "files that record runs through": Limit(81, 2, 80),
+    "files that sniff --where runs through": Limit(81, 2, 80),
     "modules that host loads": Limit(34, 2, 40),
     "bare participles among 1,000 names": Limit(0.7, 1, 3),
     "functions of complexity over 25": Limit(0, 0, 0),

@@ -106,7 +106,7 @@ def _export(
     from edoras_tools.pipelines.export.run import export as write
     from edoras_tools.pipelines.export.sources import open_topics
 
-    path, files = recordings.recording_path(output), inputs.required()
+    path, files = options.recording_path(output), inputs.required()
     if len(files) == 1 and is_cfe_file(files[0]):
         trace = doors.part("performance_trace")(files, path, force=table.force)
         if trace is not None:

@@ -19,6 +19,7 @@ from contextlib import suppress
 from copy import copy
 from functools import cache, partial, wraps
 from pathlib import Path
+from time import strftime
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeVar, get_args, get_type_hints
 
 from typer import BadParameter, Context, Option
@@ -196,6 +197,11 @@ _CLOCK = (
     r"( ?[A-Za-z][\w/+-]*|[+-]\d\d:?\d\d)?"
 )
 """Groups: date, hour, minute, second, fraction, zone."""
+
+
+def recording_path(text: str) -> Path:
+    """Read the path of a recording; ``%Y``, ``%H%M%S`` etc. are replaced by the local time (``strftime``)."""
+    return Path(strftime(text) if "%" in text else text)
 
 
 def amount(text: str) -> tuple[str, int]:

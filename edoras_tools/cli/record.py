@@ -115,7 +115,7 @@ class TargetOptions(NamedTuple):
         Option(
             "--output",
             "-o",
-            parser=recordings.recording_path,
+            parser=options.recording_path,
             metavar="FILE",
             help=f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time; "
             "- is stdout.",

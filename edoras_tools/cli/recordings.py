@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from time import strftime
 from typing import TYPE_CHECKING, Annotated
 
 from typer import Option, echo
 
+from edoras_tools.cli import options
 from edoras_tools.cli.output import tell
 from edoras_tools.io.formats.table import WRITTEN
 from edoras_tools.io.outputs import STDOUT, check_new, write_bytes
@@ -19,17 +19,12 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.capture.record import Target
 
 
-def recording_path(text: str) -> Path:
-    """Read the path of a recording; ``%Y``, ``%H%M%S`` etc. are replaced by the local time (``strftime``)."""
-    return Path(strftime(text) if "%" in text else text)
-
-
 Output = Annotated[
     Path | None,
     Option(
         "--output",
         "-o",
-        parser=recording_path,
+        parser=options.recording_path,
         metavar="FILE",
         help=f"Record to FILE; {WRITTEN} sets the format; %Y%m%d_%H%M%S in its name becomes the time.",
     ),

@@ -106,9 +106,7 @@ def demo(
     scenario: Annotated[Scenario | None, Argument(metavar="[SCENARIO]", help=SCENARIOS)] = None,
     output: Annotated[
         Path | None,
-        Option(
-            "--output", "-o", parser=recordings.recording_path, help="The recording, or the tour's folder."
-        ),
+        Option("--output", "-o", parser=options.recording_path, help="The recording, or the tour's folder."),
     ] = None,
     force: recordings.Force = False,
     duration: Annotated[

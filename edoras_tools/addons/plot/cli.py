@@ -42,7 +42,7 @@ def plot(
         Option(
             "--output",
             "-o",
-            parser=recordings.recording_path,
+            parser=options.recording_path,
             metavar="FILE",
             help="A picture (.svg, .png) or a page (.html).",
         ),
