@@ -31,7 +31,7 @@ from paths import EDORAS, MISSION, ROVER
 
 from edoras_tools.addons.archive.index import TABLES
 from edoras_tools.addons.lab.emulator import Simulation
-from edoras_tools.addons.lab.emulator.source import frames_of
+from edoras_tools.addons.lab.emulator.simulation import frames_of
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcap import PcapSink
 from edoras_tools.io.frames.linklayer import Demux

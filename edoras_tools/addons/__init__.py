@@ -140,7 +140,7 @@ ADDONS: Final = (
         },
         {
             "middleware": {"local": ":LOCAL"},
-            "parts": {"simulation": "emulator.source:start_simulation", "prove": "cli:prove"},
+            "parts": {"simulation": "emulator.simulation:start_simulation", "prove": "cli:prove"},
         },
     ),
     Addon(

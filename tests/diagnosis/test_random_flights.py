@@ -15,8 +15,7 @@ from truth import bounds, sums
 from edoras_tools.addons.lab.emulator import Simulation, messages
 from edoras_tools.addons.lab.emulator.account import LOST, socket
 from edoras_tools.addons.lab.emulator.apps import generator
-from edoras_tools.addons.lab.emulator.simulation import WireDatagram
-from edoras_tools.addons.lab.emulator.source import frames_of
+from edoras_tools.addons.lab.emulator.simulation import WireDatagram, frames_of
 from edoras_tools.cfs import command_ingest, edoras_app, telemetry_output
 from edoras_tools.cfs import executive_services as es
 from edoras_tools.cfs.profile import SimProfile

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.apps import generator
-from edoras_tools.addons.lab.emulator.source import frames_of
+from edoras_tools.addons.lab.emulator.simulation import frames_of
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.examination import Examination

@@ -32,7 +32,7 @@ def layout(scenario):
 def recordings(tmp_path_factory):
     """Scenario to topic to (type, messages), 8 s in simulated time."""
     from edoras_tools.addons.lab.emulator import Simulation
-    from edoras_tools.addons.lab.emulator.source import SimulatedSource
+    from edoras_tools.addons.lab.emulator.simulation import SimulatedSource
     from edoras_tools.pipelines.capture.record import Target, record
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.units import SECOND

@@ -12,8 +12,7 @@ from edoras_tools.addons.lab.emulator import Simulation, messages
 from edoras_tools.addons.lab.emulator.account import socket
 from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.addons.lab.emulator.apps.core import SingleRobotApp
-from edoras_tools.addons.lab.emulator.simulation import WireDatagram
-from edoras_tools.addons.lab.emulator.source import frames_of
+from edoras_tools.addons.lab.emulator.simulation import WireDatagram, frames_of
 from edoras_tools.cfs import edoras_app, telemetry_output
 from edoras_tools.cfs import executive_services as es
 from edoras_tools.cfs.profile import SimProfile

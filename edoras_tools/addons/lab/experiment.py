@@ -36,8 +36,14 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import asdict, replace
 
-from edoras_tools.addons.lab.emulator import BOOT_NS, SCENARIOS, Simulation, source
+from edoras_tools.addons.lab.emulator import BOOT_NS, SCENARIOS, Simulation
 from edoras_tools.addons.lab.emulator.cfs import mission_profile, routes_of, with_limit
+from edoras_tools.addons.lab.emulator.simulation import (
+    SimulatedSource,
+    SimulatedWire,
+    SimulationSource,
+    demo_bench,
+)
 from edoras_tools.cfs.profile import constant_names
 from edoras_tools.diagnosis.accounts import latency_ms
 from edoras_tools.errors import ConfigError, EdorasError, InterruptError
@@ -344,7 +350,7 @@ class CellBench:
     @cached_property
     def bench(self) -> Workbench:
         """Workbench with the mission."""
-        return source.demo_bench(self.cell.scenario, Settings(self.plan.missions, constants=self._constants))
+        return demo_bench(self.cell.scenario, Settings(self.plan.missions, constants=self._constants))
 
     def run(self, path: Path, index: int, number: int) -> dict[str, Any]:
         """Make a run, record it, and return its results and losses."""
@@ -384,16 +390,16 @@ class CellBench:
             simulation.connect(
                 rate, command_count=round(rate * duration_ns / SECOND), after_ns=BEFORE_COMMANDS_NS
             )
-            return source.SimulatedSource(simulation, BEFORE_COMMANDS_NS + duration_ns + AFTER_COMMANDS_NS)
+            return SimulatedSource(simulation, BEFORE_COMMANDS_NS + duration_ns + AFTER_COMMANDS_NS)
         transmission = self._transmission()
         is_sbn = transmission.options.to is Receiver.SBN
         target = simulation.cfs.sbn_endpoint if is_sbn else simulation.cfs.ci_endpoint
         answers = carrying("flight" if is_sbn else "ground", to_cfs=False)
         own = transmission.options.listen
         assert own is not None
-        wire = source.SimulatedWire(simulation, target, own, answers, keeps_all=True)
+        wire = SimulatedWire(simulation, target, own, answers, keeps_all=True)
         _sent(transmission.run(wire=wire))
-        return source.SimulationSource(simulation, [wire.carried])
+        return SimulationSource(simulation, [wire.carried])
 
     def _transmission(self) -> Transmission:
         """Return the datagrams to send, and the settings of sending."""

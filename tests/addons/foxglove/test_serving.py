@@ -13,7 +13,7 @@ from places import ROOT
 from edoras_tools.addons.foxglove.player import LEVELS, attach, live
 from edoras_tools.addons.foxglove.publish import CommandPublisher
 from edoras_tools.addons.lab.emulator import Simulation
-from edoras_tools.addons.lab.emulator.source import RealTimeSource, start_simulation
+from edoras_tools.addons.lab.emulator.simulation import RealTimeSource, start_simulation
 from edoras_tools.addons.racs2.link import RACS2
 from edoras_tools.errors import ConfigError, RouteError
 from edoras_tools.model import Endpoint, Finding, SourceInfo, SourceStatistics

@@ -7,7 +7,7 @@ from effort import long_but
 from places import CAPTURES, MISSIONS, ROOT
 
 from edoras_tools.addons.lab.emulator import Simulation
-from edoras_tools.addons.lab.emulator.source import SimulatedSource
+from edoras_tools.addons.lab.emulator.simulation import SimulatedSource
 from edoras_tools.addons.runs.check import check, junit
 from edoras_tools.addons.runs.draft import Draft
 from edoras_tools.addons.runs.expectations import load_expectations

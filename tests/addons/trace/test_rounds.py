@@ -3,7 +3,7 @@
 import pytest
 
 from edoras_tools.addons.lab.emulator import Simulation
-from edoras_tools.addons.lab.emulator.source import SimulatedSource
+from edoras_tools.addons.lab.emulator.simulation import SimulatedSource
 from edoras_tools.addons.trace.rounds import topic_rates
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings

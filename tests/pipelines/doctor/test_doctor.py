@@ -15,7 +15,7 @@ from transfer_frames import Maker, space_packet
 from edoras_tools import doctor
 from edoras_tools.addons.frames.link import FRAMES
 from edoras_tools.addons.lab.emulator import Simulation
-from edoras_tools.addons.lab.emulator.source import SimulatedSource
+from edoras_tools.addons.lab.emulator.simulation import SimulatedSource
 from edoras_tools.diagnosis import examination
 from edoras_tools.diagnosis.rules import shipped_rules
 from edoras_tools.errors import CaptureError

@@ -5,7 +5,7 @@ from effort import LONG, long_but
 from places import MISSIONS
 
 from edoras_tools.addons.lab.emulator import Simulation, bridges
-from edoras_tools.addons.lab.emulator.source import SimulatedSource
+from edoras_tools.addons.lab.emulator.simulation import SimulatedSource
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND

@@ -21,7 +21,7 @@ from edoras_tools import doors
 from edoras_tools.addons.lab.demo import nodes
 from edoras_tools.addons.lab.emulator import BOOT_NS, Scenario, Served, Simulation
 from edoras_tools.addons.lab.emulator.apps.core import SingleRobotApp
-from edoras_tools.addons.lab.emulator.source import SimulatedSource
+from edoras_tools.addons.lab.emulator.simulation import SimulatedSource
 from edoras_tools.cfs.edoras_app import PIPE
 from edoras_tools.errors import CaptureError, ConfigError, EdorasError
 from edoras_tools.io.capture.live import open_live

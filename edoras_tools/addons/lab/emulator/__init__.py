@@ -5,7 +5,14 @@
 """
 
 from edoras_tools.addons.lab.emulator.cfs import Scenario
-from edoras_tools.addons.lab.emulator.server import Served, serve
-from edoras_tools.addons.lab.emulator.simulation import BOOT_NS, MISSIONS, SCENARIOS, Simulation, WireDatagram
+from edoras_tools.addons.lab.emulator.simulation import (
+    BOOT_NS,
+    MISSIONS,
+    SCENARIOS,
+    Served,
+    Simulation,
+    WireDatagram,
+    serve,
+)
 
 __all__ = ["BOOT_NS", "MISSIONS", "SCENARIOS", "Scenario", "Served", "Simulation", "WireDatagram", "serve"]

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.apps import generator
 from edoras_tools.addons.lab.emulator.cfs import routes_of
-from edoras_tools.addons.lab.emulator.source import SimulatedWire
+from edoras_tools.addons.lab.emulator.simulation import SimulatedWire
 from edoras_tools.addons.lab.sweep import plan as packets
 from edoras_tools.addons.lab.sweep.plan import COMMAND_NS, Line, Mark, Observer, SweepPlan, reset_filters
 from edoras_tools.cfs import command_ingest, software_bus

@@ -9,7 +9,7 @@ from places import CAPTURES
 from waiting import HOST, PATIENCE_S, Program, free_ports, until
 from warm import EDORAS
 
-from edoras_tools.addons.lab.emulator import Served, Simulation, serve, server
+from edoras_tools.addons.lab.emulator import Served, Simulation, serve, simulation
 from edoras_tools.cfs.profile import Ports, SbnPeerConfig, SimProfile
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.model import Peer
@@ -124,7 +124,7 @@ FIRST, OTHER, BRIDGE = Peer(0x42, 1), Peer(0x42, 2), Peer(0x42, 3)
 
 @pytest.fixture
 def ports(monkeypatch):
-    monkeypatch.setattr(server, "_CONNECT_NS", 200 * MILLISECOND)
+    monkeypatch.setattr(simulation, "_CONNECT_NS", 200 * MILLISECOND)
     return free_ports(3, socket.SOCK_STREAM)
 
 

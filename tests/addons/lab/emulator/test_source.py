@@ -9,7 +9,7 @@ import pytest
 from scapy.layers.inet import IP, UDP
 
 from edoras_tools.addons.lab.emulator import SCENARIOS, Simulation
-from edoras_tools.addons.lab.emulator.source import SimulatedSource
+from edoras_tools.addons.lab.emulator.simulation import SimulatedSource
 from edoras_tools.io.frames.frame_batch import frames_of
 from edoras_tools.units import SECOND
 
