@@ -26,18 +26,7 @@ import numpy as np
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import NO_MSG_ID, Link
-from edoras_tools.sessions.faults.effects import (
-    Chance,
-    Effect,
-    Pending,
-    Received,
-    draw,
-    draws,
-    effect_of,
-    key_of,
-    packet_offset,
-    threshold,
-)
+from edoras_tools.sessions.faults import effects
 from edoras_tools.sessions.faults.rules import Fault
 from edoras_tools.wire import ccsds, sbn
 from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, MsgIds
@@ -61,7 +50,7 @@ HEAD_BYTES: Final = sbn.HEADER.size + MSG_ID_BYTES
 
 def datagram_msg_id(payload: bytes, link: Link, msg_ids: MsgIds = VERSION_1) -> int:
     """Return a datagram's MsgId, ``NO_MSG_ID`` if it has none."""
-    at = packet_offset(payload, link)
+    at = effects.packet_offset(payload, link)
     return msg_ids.of(payload, at) if at >= 0 else NO_MSG_ID
 
 
@@ -81,7 +70,7 @@ class ActiveRule(msgspec.Struct):
     rule: Rule
     ordinal: int
     matches: Predicate | None
-    effect: Effect
+    effect: effects.Effect
     msg_ids: MsgIds = VERSION_1
 
     def looks_at(self, link: Link, *, to_cfs: bool) -> bool:
@@ -247,7 +236,7 @@ class FaultMachine:
         self._start = now
         self._msg_ids = headers.msg_ids
         self._serial = 0
-        self._heap: list[tuple[int, int, Pending]] = []
+        self._heap: list[tuple[int, int, effects.Pending]] = []
         self._counters: dict[tuple[int, bool, int], list[StreamCounter]] = {}
         ordinals: dict[str, int] = {}
         self._active: list[ActiveRule] = []
@@ -258,7 +247,7 @@ class FaultMachine:
                 if where is None:
                     raise ConfigError(f"fault {rule}: where is not available here; leave it out")
                 matches = where(rule.scope.where)
-            effect = effect_of(rule, headers)
+            effect = effects.effect_of(rule, headers)
             self._active.append(ActiveRule(index, rule, ordinal, matches, effect, headers.msg_ids))
 
     @property
@@ -350,7 +339,7 @@ class FaultMachine:
                 continue
             hits = np.ones(len(places), bool)
             if schedule.probability < 1:
-                hits &= draws(counter.key, first, len(places)) < np.uint64(counter.threshold)
+                hits &= effects.draws(counter.key, first, len(places)) < np.uint64(counter.threshold)
             if schedule.every:
                 hits &= (np.arange(first + 1, first + 1 + len(places)) % schedule.every) == 0
             if effect.outlasts and hits.any():
@@ -409,8 +398,8 @@ class FaultMachine:
             counters = [
                 StreamCounter(
                     active,
-                    key_of(self.plan.seed, active.rule.kind.name, active.ordinal, *key),
-                    threshold(min(active.rule.schedule.probability, 1 - 2**-53)),
+                    effects.key_of(self.plan.seed, active.rule.kind.name, active.ordinal, *key),
+                    effects.threshold(min(active.rule.schedule.probability, 1 - 2**-53)),
                 )
                 for active in self._active
                 if active.looks_at(link, to_cfs=to_cfs)
@@ -432,7 +421,7 @@ class FaultMachine:
             schedule, effect = active.rule.schedule, active.effect
             hit = (
                 effect.may_strike(elapsed, now)
-                and (schedule.probability >= 1 or draw(counter.key, number) < counter.threshold)
+                and (schedule.probability >= 1 or effects.draw(counter.key, number) < counter.threshold)
                 and (not schedule.every or (number + 1) % schedule.every == 0)
             )
             if hit or effect.watches(to_cfs, stream, now):
@@ -443,11 +432,13 @@ class FaultMachine:
         self, payload: bytes, link: Link, to_cfs: bool, now: int, stream: int, verdicts: list[_Verdict]
     ) -> tuple[list[Delivery], list[Fault]]:
         msg_id = datagram_msg_id(payload, link, self._msg_ids)
-        items = [Pending(payload, now, stream, to_cfs)]
+        items = [effects.Pending(payload, now, stream, to_cfs)]
         faults = []
         for counter, hit, number in verdicts:
             active = counter.active
-            received = Received(link, to_cfs, stream, msg_id, now, hit, Chance(counter.key, number))
+            received = effects.Received(
+                link, to_cfs, stream, msg_id, now, hit, effects.Chance(counter.key, number)
+            )
             items, detail, lost = active.effect.act(items, received)
             if detail:
                 self.struck[active.index] += 1
@@ -465,7 +456,7 @@ class FaultMachine:
                 )
         return deliveries, faults
 
-    def _hold(self, item: Pending) -> bool:
+    def _hold(self, item: effects.Pending) -> bool:
         """Hold a datagram back; return whether there was room."""
         item.room = len(item.payload) + _HOLDING_BYTES
         if self.held_bytes + item.room > HOLD_BYTES:
@@ -475,7 +466,7 @@ class FaultMachine:
         heapq.heappush(self._heap, (item.due_ns, self._serial, item))
         return True
 
-    def _pop(self) -> Pending:
+    def _pop(self) -> effects.Pending:
         item = heapq.heappop(self._heap)[2]
         self.held_bytes -= item.room
         return item
