@@ -21,7 +21,7 @@ import zstandard
 from mcap.opcode import Opcode
 from msgspec.structs import replace
 
-from edoras_tools.errors import CaptureError, os_errors
+from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.formats.capture_file import Window
 from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES
 from edoras_tools.io.formats.mcap.file import MESSAGE_HEAD, RECORD_HEAD, McapFile, pack_chunks
@@ -88,6 +88,7 @@ def repair(
     Raises:
         CaptureError: ``source`` cannot be read or contains nothing to recover, or ``target`` cannot be
             written.
+        ConfigError: ``target`` is ``source``.
     """
     topics, kind = topics or KnownTopics(), repairable_as(source)
     if kind == "mcap":
@@ -95,7 +96,7 @@ def repair(
             return verify_mcap(source, topics=topics, unproved=unproved, progress=progress)
         return recover_mcap(source, target, topics=topics, unproved=unproved, progress=progress)
     if target is not None and target.exists() and target.samefile(source):
-        raise CaptureError(f"{target}: is the recording itself; name another file to write")
+        raise ConfigError(f"{target}: is the recording itself; name another file to write")
     recording = _Database(source, topics, unproved) if kind == "db3" else _Capture(source, kind)
     report = recording.report(progress)
     if not sum(report.messages.values()) and not report.whole:
@@ -126,16 +127,13 @@ class _Capture:
         with suppress(CaptureError, KeyError):  # its header cannot be read
             if (report := self._read(progress)).whole or report.messages["packets"]:
                 return report
-        best: Recovery | None = None
+        reports: dict[bytes, Recovery] = {}
         for opening in _OPENINGS[self._kind]:
-            self._opening, before = opening, self._opening
-            report = self._read(progress)
-            if best is not None and sum(report.messages.values()) <= sum(best.messages.values()):
-                self._opening = before
-            else:
-                best = report
-        assert best is not None, "each kind has an opening"
-        return best
+            self._opening = opening
+            reports[opening] = self._read(progress)
+        self._opening, report = max(reports.items(), key=lambda item: item[1].messages["packets"])
+        # The bytes behind an assumed header always look like one record.
+        return report if report.messages["packets"] > 1 else replace(report, messages={})
 
     def write(self, new: NewFile, progress: Progress) -> Recovery:
         """Read the whole file again, write all that can be read, and check the result by reading it."""

@@ -11,7 +11,7 @@ from operator import itemgetter
 import damage
 import pytest
 from effort import LONG
-from places import SAMPLES
+from places import ROOT, SAMPLES
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -111,6 +111,21 @@ def test_a_section_header_without_its_type_costs_no_packet(tmp_path, wholes):
     source.write_bytes(bytes(8) + data[8:])
     repair(source, target)
     assert records("pcapng", target.read_bytes()) == records("pcapng", data)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        (SAMPLES / "captures/a_rover.pcap").read_bytes()[:30],
+        (ROOT / "docs/pictures/wireshark.png").read_bytes(),
+    ],
+    ids=["a header alone", "a picture"],
+)
+def test_what_has_no_record_gives_none(tmp_path, data):
+    """Behind an assumed header any bytes look like one record, the file's own header too."""
+    (tmp_path / "a.pcap").write_bytes(data)
+    with pytest.raises(CaptureError, match="it contains nothing to recover"):
+        repair(tmp_path / "a.pcap", tmp_path / "made")
 
 
 def test_a_capture_of_nothing(tmp_path):
