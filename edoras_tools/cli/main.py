@@ -461,6 +461,7 @@ def run(app: typer.Typer) -> NoReturn:
     except _USAGE as error:
         code = error.exit_code
         text = error.format_message().replace("Value error, ", "")  # the prefix of typer's own checks
+        text = text.replace("valid float range", "number").replace("valid int range", "whole number")
         command = error.ctx.command_path if error.ctx else app.info.name
         see = f"{' See' if text.endswith('?') else '; see'} {command} -h"
         _say(f"{text.removesuffix('.')}{see}" if text and not text.startswith("Usage: ") else text, "usage")

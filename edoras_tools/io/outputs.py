@@ -164,7 +164,8 @@ def write_bytes(path: Path, data: bytes, *, folders: bool = False) -> None:
     with os_errors(f"{path}: cannot be written"):
         if folders:
             check_links(path)
-            path.parent.mkdir(parents=True, exist_ok=True)
+            with suppress(FileExistsError):  # a file in its place: the file below cannot be opened
+                path.parent.mkdir(parents=True, exist_ok=True)
         with NewFile(path) as file:
             file.write(data)
 

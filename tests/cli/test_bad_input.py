@@ -252,11 +252,14 @@ USAGE = [
     ("recover missing.mcap", 1, "missing.mcap: there is no such file"),
     ("recover folder", 1, "folder: cannot be opened: Is a directory"),
     ("recover .", 1, ".: cannot be opened: Is a directory"),
-    ("recover ok.pcap -o ok.pcap", 1, "ok.pcap: is the recording itself"),
+    ("recover ok.pcap -o ok.pcap", 2, "ok.pcap: is the recording itself"),
     ("recover empty", 1, "empty: is not an MCAP file"),
     ("recover absurd.mcap", 1, "absurd.mcap: it contains nothing to recover"),
     ("sim nothing", 2, "'nothing' is not one of 'rover'"),
     ("sim --hz 0", 2, "--rate"),
+    ("sim --rate fast", 2, "'fast' is not a number; see edoras sim -h"),
+    ("inject to-add 0x0827 --limit all", 2, "'all' is not a whole number; see edoras inject -h"),
+    ("samples ok.pcap", 1, "ok.pcap/README.md: cannot be written: Not a directory"),
     ("sim --host 192.0.2.1 --duration 1", 1, "192.0.2.1"),
     (
         "demo -o ok.pcap/x --duration 1",
@@ -332,7 +335,7 @@ def test_recover_never_overwrites_its_input(call, place, captures):
     cut = (place / "whole.mcap").read_bytes()[:-500]
     (place / "cut.mcap").write_bytes(cut)
     done = call("recover", "cut.mcap", "-o", "cut.mcap")
-    assert (done.code, len(done.err)) == (1, 1)
+    assert (done.code, len(done.err)) == (2, 1)
     assert "cut.mcap: is the recording itself" in done.err[0]
     assert (place / "cut.mcap").read_bytes() == cut
 

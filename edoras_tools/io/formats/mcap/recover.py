@@ -43,7 +43,7 @@ from mcap.stream_reader import breakup_chunk
 from msgspec.structs import replace
 
 from edoras_tools import __version__
-from edoras_tools.errors import CaptureError, os_errors
+from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES, Proof
 from edoras_tools.io.formats.mcap.file import (
     MESSAGE_HEAD,
@@ -148,10 +148,11 @@ def recover(
     Raises:
         CaptureError: ``source`` cannot be read, is not an MCAP file or has no message that could be kept, or
             ``target`` cannot be written.
+        ConfigError: ``target`` is ``source``.
     """
     source, target = Path(source), Path(target)
     if target.exists() and source.exists() and target.samefile(source):
-        raise CaptureError(f"{target}: is the recording itself; name another file to write")
+        raise ConfigError(f"{target}: is the recording itself; name another file to write")
     topics = topics or KnownTopics()
     with FileBytes(source) as file:
         report, stretches = _examined(file, topics, progress, unproved=unproved)
