@@ -39,6 +39,8 @@ def host_lines(
         for row in (head, *rows):
             first_columns = f"{row[0]:>{widths[0]}}  {row[1]:<{widths[1]}}  {row[2]:<{widths[2]}}"
             yield f"{first_columns}  {row[3]:>{widths[3]}}  {row[4]:>{widths[4]}}"
+    elif host.receive_buffer_errors is None:
+        yield "unknown what listens here: this system has no /proc/net that can be read"
     else:
         yield "no program here listens on a UDP port of the links"
     yield ""

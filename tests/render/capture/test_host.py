@@ -26,9 +26,14 @@ def test_sockets_are_listed_by_port_and_what_is_not_known_is_a_dash():
     assert lines[-2:] == ["", "do this"]
 
 
-def test_without_sockets_and_counters():
-    lines = list(host_lines(HostCounters(0), {}, None, []))
+def test_without_sockets():
+    lines = list(host_lines(HostCounters(0, receive_buffer_errors=0), {}, None, []))
     assert lines[0] == "no program here listens on a UDP port of the links"
+
+
+def test_without_counters_nothing_is_said_of_sockets():
+    lines = list(host_lines(HostCounters(0), {}, None, []))
+    assert lines[0] == "unknown what listens here: this system has no /proc/net that can be read"
     assert {line[:12].strip() for line in lines[2:]} == {"-"}
 
 
