@@ -128,7 +128,7 @@ def limit_rule(text: str, mission: Mission) -> Rule:
     if rule is None:
         raise ConfigError(
             *(
-                f"--limit {text}: {problem}; write 30, /cmd_vel=30,latest or all=100"
+                f"--max-rate {text}: {problem}; write 30, /cmd_vel=30,latest or all=100"
                 for _, problem in mistakes
             )
         )

@@ -185,7 +185,7 @@ def test_limits_of_a_topic_of_every_msg_id_and_of_all():
         "all=100": "rate:100,per=link",
     }
     assert {text: limit_rule(text, mission).text for text in cases} == cases
-    with pytest.raises(ConfigError, match=r"--limit x: hz 'x': a rate is needed.*; write 30"):
+    with pytest.raises(ConfigError, match=r"--max-rate x: hz 'x': a rate is needed.*; write 30"):
         limit_rule("x", mission)
 
 
