@@ -101,7 +101,7 @@ def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
 
 def write_csv(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     """Print rows below the names of their columns, as ``print_csv`` does; a terminal gets no raw escapes."""
-    writer = csv.writer(sys.stdout)
+    writer = csv.writer(sys.stdout, lineterminator="\n")
     from edoras_tools.render.terminal.text import clean
 
     escaped = clean if sys.stdout.isatty() else str

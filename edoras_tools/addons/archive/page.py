@@ -50,6 +50,8 @@ def update_lines(summary: Mapping[str, Any], index: str) -> Iterator[str]:
     parts = [f"{summary['read']:,} read", f"{summary['unchanged']:,} unchanged"]
     parts += [f"{summary[name]:,} {words}" for name, words in _RARE.items() if summary[name]]
     yield f"{index}: {plural(summary['found'], 'capture')}: {', '.join(parts)}"
+    if not summary["found"]:
+        yield "no capture was found; name files, or folders with .mcap, .pcapng or .pcap"
 
 
 _RARE: Final = {
