@@ -65,6 +65,8 @@ def _open_folder(path: Path) -> Source:
     from edoras_tools.io.formats.rosbag2.reader import open_folder
 
     source = open_folder(path, open_file)
+    if source is None and (path / "metadata.yaml").exists():
+        raise CaptureError(f"{path}: the files that its metadata.yaml names are not there")
     if source is None:
         raise CaptureError(f"{path}: is a directory; name a capture in it, or a rosbag2 directory")
     return source

@@ -44,6 +44,12 @@ def test_without_metadata_it_is_only_a_directory(folder, tmp_path):
         open_file(tmp_path / "runs")
 
 
+def test_its_metadata_alone_is_no_recording(folder, tmp_path):
+    shutil.copy(folder / "metadata.yaml", tmp_path)
+    with pytest.raises(CaptureError, match="the files that its metadata.yaml names are not there"):
+        open_file(tmp_path)
+
+
 def test_a_damaged_part_is_named(folder, tmp_path):
     shutil.copytree(folder, tmp_path / "bag")
     (tmp_path / "bag/bag_2.mcap").write_bytes(b"no recording")
