@@ -103,7 +103,7 @@ _FORMATS = ", ".join(suffix[1:] for suffix in FILE_SUFFIXES)
 def stream_format(text: str) -> str:
     """Read the name of a recording's format."""
     if text != "rosbag2" and written_as(Path(f"x.{text}")) is None:
-        raise BadParameter(f"{text!r} is not a format of recordings; use {_FORMATS}")
+        raise BadParameter(f"{text!r} is not a format of recordings; use {_FORMATS}, rosbag2")
     return text
 
 
