@@ -196,8 +196,7 @@ def cells_table(report: Mapping[str, Any], width: int) -> RenderableType:
         Column("Delay", _interval_of("delay_ms", units.milliseconds), rank=1),
     )
     table = build(columns, rows, width, apart=lambda row: row["cell"])
-    end = "Mean of the runs, and the 95 % interval of the mean of all possible runs. Recordings: "
-    end += report["folder"]
+    end = f"Mean of the runs, and 95 % interval of the mean of all possible runs. Files: {report['folder']}"
     return Group(table, Text(), plain(end, palette.DIM))
 
 
