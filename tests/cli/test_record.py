@@ -397,7 +397,7 @@ def test_a_reader_that_ends_is_told(command, captures, tmp_path):
         (["-o", "-", "--split-time", "1m"], "leave the options about files out"),
         (["-o", "-", "--rosbag2"], "leave the options about files out"),
         (["-o", "-", "--sync=1s"], "leave the options about files out"),
-        (["-o", "-", "--format", "csv"], "'csv' is not a format of recordings; use mcap, pcapng, pcap, rosbag2"),
+        (["-o", "-", "--format", "csv"], "'csv' is not a format of recordings; use mcap, pcapng, pcap, "),
         (["-o", "x.mcap", "--format", "pcap"], "--format is for -o -"),
     ],
 )

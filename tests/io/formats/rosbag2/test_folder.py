@@ -46,7 +46,7 @@ def test_without_metadata_it_is_only_a_directory(folder, tmp_path):
 
 def test_its_metadata_alone_is_no_recording(folder, tmp_path):
     shutil.copy(folder / "metadata.yaml", tmp_path)
-    with pytest.raises(CaptureError, match="the files that its metadata.yaml names are not there"):
+    with pytest.raises(CaptureError, match=r"the files that its metadata\.yaml names are not there"):
         open_file(tmp_path)
 
 
