@@ -152,7 +152,7 @@ def _examine(
             findings = examine(source, bench, scope=scope, pace=pace, progress=bar)
     if json:
         print_json(findings.summary())
-    elif source.statistics.datagrams:
+    elif live or source.statistics.datagrams:
         print_diagnosis(findings.diagnosis, source.info.name, quiet=quiet, verbose=verbose)
     tell(*bench.mission.warnings, *findings.warnings)
     if findings.failure is not None:

@@ -321,6 +321,11 @@ def test_no_file_is_called_as_standard_output_is(line, call, place):
         assert done.out.startswith(("# ", "<?xml"))
 
 
+def test_a_link_without_traffic_has_a_headline(call):
+    done = call("doctor", "--listen", "127.0.0.1:0", "--duration", "100ms")
+    assert (done.code, done.out) == (3, "No cFS here: nothing of CI, TO or SBN was examined.\n")
+
+
 def test_a_port_in_use(call):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
