@@ -395,13 +395,13 @@ def outcome(
         summary: in the shape of ``demo SCENARIO --json``.
         lines: track of each rover.
     """
-    facts = [one_line(plain(line)) for line in (*moved(summary), *loss_lines(summary))]
+    facts = [plain(line) for line in (*moved(summary), *loss_lines(summary))]
     return Group(
         *_view(Moment(summary, written=size_of(output), width=width), lines),
         Text(),
         *facts,
         Text(),
-        *(one_line(plain(line)) for line in hints(summary)),
+        *map(plain, hints(summary)),
     )
 
 

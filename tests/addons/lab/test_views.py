@@ -126,6 +126,8 @@ def test_the_outcome_says_all_within_its_width(summary, width):
     shown = text(views.outcome(summary, Running.tracks, width, NOWHERE), width)
     assert all(len(line) <= width for line in shown.splitlines())
     assert "Arrived" in shown
+    sentences = " ".join(shown.split())
+    assert "EDORAS_APP_PIPE takes no more of one MsgId at a time" in sentences, "wrapped, not cut"
     if width >= 120:
         for part in (
             "/robot_1/ground/cmd_vel → /robot_1/cmd_vel",
