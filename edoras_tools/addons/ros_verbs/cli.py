@@ -190,7 +190,8 @@ class SourceOptions(NamedTuple):
 
         ros, domain, more = self.graph
         domain = usual_domain() if domain is None else domain
-        return GraphRequest(ros or usual(), domain, dict(more or ()), topics, qos.fitting, tell)
+        longest_ns = self.duration or 0
+        return GraphRequest(ros or usual(), domain, dict(more or ()), topics, qos.fitting, tell, longest_ns)
 
     def reads_graph(self, words: Words) -> bool:
         """Return whether the input is a graph.
@@ -466,7 +467,8 @@ def observe(
     if words.files:
         raise ConfigError(f"{words.files[0]}: observe looks at a graph; a topic begins with /")
     target = recordings.recording_target(output, force=force)
-    source, bench = open_source(SourceOptions(graph=graph).request(words.topics, qos), decoding.settings())
+    graph_options = SourceOptions(duration=duration, graph=graph)
+    source, bench = open_source(graph_options.request(words.topics, qos), decoding.settings())
     if not printing.quiet:
         say(f"observing {', '.join(source.topics)} ({source.info.name}); Ctrl-C ends")
     began, limits = monotonic_ns(), Limits(duration_ns=duration or 0)

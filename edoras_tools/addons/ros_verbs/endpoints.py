@@ -456,6 +456,7 @@ class GraphRequest(msgspec.Struct, frozen=True):
             discovery.
         qos: function from the publishers to the quality of service of a subscription.
         on_note: called with each note for the user.
+        duration_ns: longest time to wait for the topics, ns; 0: without end.
     """
 
     ros: str
@@ -464,6 +465,7 @@ class GraphRequest(msgspec.Struct, frozen=True):
     topics: Sequence[str] = ()
     qos: Callable[[Sequence[GraphEndpoint]], Qos] = fitting_qos
     on_note: Callable[[str], None] = lambda _: None
+    duration_ns: int = 0
 
     @property
     def name(self) -> str:
@@ -472,20 +474,24 @@ class GraphRequest(msgspec.Struct, frozen=True):
 
 
 def discovered(request: GraphRequest, observer: GraphObserver) -> list[GraphEndpoint]:
-    """Return the endpoints once the requested topics are published, or after the time of discovery."""
-    began, waited = time.monotonic(), False
+    """Return the endpoints once the requested topics are published, or after the time of discovery.
+
+    Raises:
+        ConfigError: a topic is not published in time.
+    """
+    began, noted = time.monotonic(), False
     while True:
         endpoints = endpoints_of(observer)
         published = {item.topic for item in endpoints if item.publishes}
         missing = [topic for topic in request.topics if topic not in published]
-        if time.monotonic() - began > _DISCOVERY_S:
-            if not missing:
-                return endpoints
-            if not waited:
-                waited = True
-                request.on_note(f"not published yet, waiting: {', '.join(missing)}; Ctrl-C ends")
-        elif request.topics and not missing:
+        elapsed_s = time.monotonic() - began
+        if not missing and (request.topics or elapsed_s > _DISCOVERY_S):
             return endpoints
+        if missing and 0 < request.duration_ns < elapsed_s * 1e9:
+            raise ConfigError(f"not published within --duration: {', '.join(missing)}")
+        if elapsed_s > _DISCOVERY_S and not noted:
+            noted = True
+            request.on_note(f"not published yet, waiting: {', '.join(missing)}; Ctrl-C ends")
         time.sleep(_STEP_S)
 
 

@@ -1,5 +1,6 @@
 """A graph as a source, over an observer that a test fills: numbers, losses, and a recording of them."""
 
+import msgspec
 import pytest
 from mcap.reader import make_reader
 
@@ -104,6 +105,15 @@ def test_what_nobody_claims_is_of_the_only_publisher(looking):
     (publisher,) = source.summaries()[0]["publishers"]
     assert (publisher["node"], publisher["received"], publisher["last_sequence"]) == ("/talker", 4, 4)
     assert publisher["delay_us"] == {"p50": 2000.0, "p99": 2000.0, "max": 2000.0}
+
+
+def test_a_topic_is_waited_for_no_longer_than_the_duration(looking):
+    observer = Observed().end("/a", "aa")
+    request, notes = looking(observer, "/a", "/b")
+    with pytest.raises(ConfigError, match="not published within --duration: /b"):
+        open_source(msgspec.structs.replace(request, duration_ns=200 * MS), Settings())
+    assert notes == ["not published yet, waiting: /b; Ctrl-C ends"]
+    assert observer.closed
 
 
 def test_who_left_stays_and_who_does_not_match_is_named(looking):
