@@ -126,12 +126,8 @@ def limit_rule(text: str, mission: Mission) -> Rule:
     written = ",".join([f"rate:{rate}", *(f"{name}={value}" for name, value in words[1:])])
     rule, mistakes = make_rule("rate", words, written)
     if rule is None:
-        raise ConfigError(
-            *(
-                f"--max-rate {text}: {problem}; write 30, /cmd_vel=30,latest or all=100"
-                for _, problem in mistakes
-            )
-        )
+        advice = "write 30, /cmd_vel=30,latest or all=100"
+        raise ConfigError(*(f"--max-rate {text}: {problem}; {advice}" for _, problem in mistakes))
     return rule
 
 
