@@ -39,7 +39,6 @@ WHOLE: Final = "edoras.whole"
 _TYPE: Final = re.compile(r"<([\w ]+)>")
 _VALUES: Final = {"str": "text", "int range": "number", "float range": "number", "recording_path": "path"}
 """Name of a parser to its name in help texts; other parsers keep their names."""
-_EVERYWHERE: Final = "Every command: -q, -v, --color WHEN"
 
 
 def sections(command: Any, ctx: Any) -> Mapping[str, list[tuple[str, str]]]:
@@ -74,7 +73,8 @@ def write_options(command: Any, ctx: Any, formatter: Any) -> None:
             formatter.write_dl(summaries)
     if not whole and not hasattr(command, "commands"):
         formatter.write_paragraph()
-        formatter.write_text(_EVERYWHERE)
+        taken = {"-q", "-v"}.intersection(name for item in command.params for name in item.opts)
+        formatter.write_text(f"Also: {', '.join([*sorted(taken), '--color WHEN'])}")
 
 
 def _write_commands(command: Any, formatter: Any) -> None:

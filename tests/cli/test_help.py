@@ -17,6 +17,11 @@ def test_help_of_a_command_is_all_of_it(call):
     assert "edoras wireshark extcap install" in call("help", "wireshark", "extcap", "install").out
 
 
+@pytest.mark.parametrize(("name", "options"), [("info", "-q, -v"), ("sniff", "-v"), ("decode", "-v")])
+def test_the_last_line_has_options_that_the_command_takes(name, options, call):
+    assert call(name, "-h").out.splitlines()[-1] == f"Also: {options}, --color WHEN"
+
+
 def test_an_unknown_command(call):
     done = call("help", "recrd")
     assert done.code == 2
