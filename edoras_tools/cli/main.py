@@ -73,8 +73,8 @@ def write_options(command: Any, ctx: Any, formatter: Any) -> None:
             formatter.write_dl(summaries)
     if not whole and not hasattr(command, "commands"):
         formatter.write_paragraph()
-        taken = {"-q", "-v"}.intersection(name for item in command.params for name in item.opts)
-        formatter.write_text(f"Also: {', '.join([*sorted(taken), '--color WHEN'])}")
+        switches = {"-q", "-v"}.intersection(name for item in command.params for name in item.opts)
+        formatter.write_text(f"Also: {', '.join([*sorted(switches), '--color WHEN'])}")
 
 
 def _write_commands(command: Any, formatter: Any) -> None:

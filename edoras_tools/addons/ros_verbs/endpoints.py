@@ -479,7 +479,7 @@ def discovered(request: GraphRequest, observer: GraphObserver) -> list[GraphEndp
     Raises:
         ConfigError: a topic is not published in time.
     """
-    began, noted = time.monotonic(), False
+    began, note_due = time.monotonic(), True
     while True:
         endpoints = endpoints_of(observer)
         published = {item.topic for item in endpoints if item.publishes}
@@ -489,8 +489,8 @@ def discovered(request: GraphRequest, observer: GraphObserver) -> list[GraphEndp
             return endpoints
         if missing and 0 < request.duration_ns < elapsed_s * 1e9:
             raise ConfigError(f"not published within --duration: {', '.join(missing)}")
-        if elapsed_s > _DISCOVERY_S and not noted:
-            noted = True
+        if elapsed_s > _DISCOVERY_S and note_due:
+            note_due = False
             request.on_note(f"not published yet, waiting: {', '.join(missing)}; Ctrl-C ends")
         time.sleep(_STEP_S)
 
