@@ -480,9 +480,9 @@ def run(app: typer.Typer) -> NoReturn:
         limit = _limit(error)
         if not limit and not isinstance(error, OSError):
             raise
-        # Files and sockets raise EdorasError: this is standard output.
-        kind = "limit" if limit else "output"
-        _say(limit or f"standard output cannot be written: {getattr(error, 'strerror', None) or error}", kind)
+        # Files and sockets raise EdorasError: this is standard output, or a name that no file can have.
+        place = getattr(error, "filename", None) or "standard output cannot be written"
+        _say(limit or f"{place}: {getattr(error, 'strerror', None) or error}", "limit" if limit else "output")
         _abandon_output()
     sys.exit(code)
 

@@ -249,6 +249,8 @@ USAGE = [
     ("sniff --listen 65536", 2, "--listen 65536: not an endpoint"),
     ("inject to-enable --target 10.9.0.2", 2, "Invalid value for '--target': 10.9.0.2: not an endpoint"),
     ("sniff --listen 192.0.2.1:47900", 1, "192.0.2.1:47900: cannot be bound: not an address of this machine"),
+    (f"sniff -r {'a' * 300}", 1, f"edoras: {'a' * 300}: File name too long"),
+    (f"record -r ok.pcap -o {'a' * 300}.mcap", 1, f"edoras: {'a' * 300}.mcap: File name too long"),
     ("recover missing.mcap", 1, "missing.mcap: there is no such file"),
     ("recover folder", 1, "folder: cannot be opened: Is a directory"),
     ("recover .", 1, ".: cannot be opened: Is a directory"),
