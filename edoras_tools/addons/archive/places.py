@@ -62,6 +62,8 @@ def find_captures(roots: Iterable[str]) -> list[ListedFile]:
                 raise CaptureError(f"{root}: there is no such file or folder; check the name") from error
             hint = f"; {_NO_KEYS}" if type(cause).__name__ == "NoCredentialsError" else ""
             raise CaptureError(f"{root}: cannot be listed: {reason_of(cause)}{hint}") from error
+    if no_text := [url for url in files if url.encode(errors="replace").decode() != url]:
+        raise CaptureError(f"{no_text[0]}: its name is not UTF-8, which an index cannot hold; rename it")
     return sorted(files.values(), key=lambda item: item.url)
 
 

@@ -147,6 +147,12 @@ def test_a_bucket_is_indexed_as_a_folder(s3, scheduler, tmp_path):
 
 
 @pytest.mark.long
+def test_a_name_that_is_not_text_is_told(tmp_path):
+    (tmp_path / "bad\udcff.pcap").write_bytes(b"")
+    with pytest.raises(CaptureError, match=r"bad\udcff\.pcap: its name is not UTF-8"):
+        find_captures([str(tmp_path)])
+
+
 def test_what_cannot_be_listed_is_told(s3, monkeypatch, tmp_path):
     def refused(root):
         s3.forget()
