@@ -395,13 +395,10 @@ def outcome(
         summary: in the shape of ``demo SCENARIO --json``.
         lines: track of each rover.
     """
-    facts = [plain(line) for line in (*moved(summary), *loss_lines(summary))]
     return Group(
         *_view(Moment(summary, written=size_of(output), width=width), lines),
         Text(),
-        *facts,
-        Text(),
-        *map(plain, hints(summary)),
+        *map(plain, (*moved(summary), *loss_lines(summary), "", *hints(summary))),
     )
 
 

@@ -188,10 +188,10 @@ class SourceOptions(NamedTuple):
         from edoras_tools.addons.ros_verbs.endpoints import GraphRequest
         from edoras_tools.middleware.graph import usual, usual_domain
 
-        ros, domain, more = self.graph
+        ros, domain, pairs = self.graph
         domain = usual_domain() if domain is None else domain
-        longest_ns = self.duration or 0
-        return GraphRequest(ros or usual(), domain, dict(more or ()), topics, qos.fitting, tell, longest_ns)
+        settings = dict(pairs or ())
+        return GraphRequest(ros or usual(), domain, settings, topics, qos.fitting, tell, self.duration)
 
     def reads_graph(self, words: Words) -> bool:
         """Return whether the input is a graph.

@@ -456,7 +456,7 @@ class GraphRequest(msgspec.Struct, frozen=True):
             discovery.
         qos: function from the publishers to the quality of service of a subscription.
         on_note: called with each note for the user.
-        duration_ns: longest time to wait for the topics, ns; 0: without end.
+        duration_ns: longest time to wait for the topics, ns; None: without end.
     """
 
     ros: str
@@ -465,7 +465,7 @@ class GraphRequest(msgspec.Struct, frozen=True):
     topics: Sequence[str] = ()
     qos: Callable[[Sequence[GraphEndpoint]], Qos] = fitting_qos
     on_note: Callable[[str], None] = lambda _: None
-    duration_ns: int = 0
+    duration_ns: int | None = None
 
     @property
     def name(self) -> str:
@@ -487,9 +487,9 @@ def discovered(request: GraphRequest, observer: GraphObserver) -> list[GraphEndp
         elapsed_s = time.monotonic() - began
         if not missing and (request.topics or elapsed_s > _DISCOVERY_S):
             return endpoints
-        if missing and 0 < request.duration_ns < elapsed_s * 1e9:
+        if missing and request.duration_ns and elapsed_s * 1e9 > request.duration_ns:
             raise ConfigError(f"not published within --duration: {', '.join(missing)}")
-        if elapsed_s > _DISCOVERY_S and note_due:
+        if note_due and elapsed_s > _DISCOVERY_S:
             note_due = False
             request.on_note(f"not published yet, waiting: {', '.join(missing)}; Ctrl-C ends")
         time.sleep(_STEP_S)
