@@ -16,7 +16,7 @@ from mcap.records import Channel, Chunk, Header, Message, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from edoras_tools.errors import CaptureError
+from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.mcap import chunks as mcap_chunks
 from edoras_tools.io.formats.mcap.file import record_bytes
 from edoras_tools.io.formats.mcap.recover import recover, verify
@@ -216,7 +216,7 @@ def test_what_cannot_be_recovered(tmp_path, recording):
         recover(tmp_path, tmp_path / "made.mcap")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(recording.read_bytes()[:-1000])
-    with pytest.raises(CaptureError, match="name another file"):
+    with pytest.raises(ConfigError, match="name another file"):
         recover(cut, cut)
     with pytest.raises(CaptureError, match=r"no/made\.mcap: cannot be written"):
         recover(cut, tmp_path / "no" / "made.mcap")
