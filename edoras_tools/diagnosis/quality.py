@@ -27,14 +27,15 @@ How the check works:
 10. If CI counted fewer datagrams than the tap saw, commands were lost behind the tap, and these may hide
     datagrams that the capture missed. Then the counts of that CI check nothing.
 11. Times without any capture are excluded: they are no random share. Frames captured twice count once.
+12. A run of missing frames is one miss. It also took the neighbours whose identifications would show it.
 
 The capture has a hole if nothing was captured although all senders went on:
 
-12. Nothing was captured for one round of Telemetry Output or longer.
-13. cFS went on: most of its streams miss sequence counts there.
-14. Other steady senders are missing too: a commander, or a second SBN peer. A failed network between two of
+13. Nothing was captured for one round of Telemetry Output or longer.
+14. cFS went on: most of its streams miss sequence counts there.
+15. Other steady senders are missing too: a commander, or a second SBN peer. A failed network between two of
     them does not hide both.
-15. If one of these two rules fails, the hole is only possible. Then counts are missing, and either rule 13
+16. If one of these two rules fails, the hole is only possible. Then counts are missing, and either rule 14
     holds, or the pause is longer than Telemetry Output and SBN ever wait.
 """
 
@@ -93,6 +94,9 @@ _ROUNDS_NS: Final = 2 * SECOND
 """Within this time a message leaves cFS, or is lost on the bus."""
 _MOST_MISSING: Final = 64
 """A larger step of a sequence count belongs to another run of the sender."""
+FEW_RUNS: Final = 3
+"""Any capture may lack so few runs of frames: what was checked between them does not show it."""
+_MOST_RUNS: Final = 32
 _DEVIATIONS: Final = 12
 _BISECTIONS: Final = 60
 
@@ -125,13 +129,9 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
     drops: int | None = None
 
     @property
-    def _answers(self) -> list[Evidence]:
-        return [item for item in self.evidence if item.kind in _ANSWERED]
-
-    @property
     def lacks_answered(self) -> bool:
         """Whether a missing datagram surely reached the tap: it was answered, or CI counted it."""
-        return any(item.missing for item in self._answers)
+        return any(item.missing for item in self.evidence if item.kind in _ANSWERED)
 
     @cached_property
     def sums(self) -> dict[tuple[int, str], tuple[int, int]]:
@@ -178,7 +178,7 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
 
         Only answered datagrams contradict it: others may be lost before they reach the tap.
         """
-        answered = [item.missing for item in self._answers]
+        answered = [item.missing for item in self.evidence if item.kind in _ANSWERED]
         return self.drops is not None and (not answered or min(answered) <= self.drops)
 
     @property
@@ -195,6 +195,11 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         each = self._each(confidence)
         number = min((largest_number(count, *group, each) for group in self.groups), default=count)
         return min(number, self.drops or 0) if self.counts else number
+
+    @cached_property
+    def of_runs(self) -> Quality:
+        """The bounds for datagrams missing in runs: a run has no neighbours whose numbers show it."""
+        return Quality(tuple(item for item in self.evidence if item.kind != "identifications"), self.drops)
 
     @property
     def longest_run(self) -> int:
@@ -249,8 +254,6 @@ def _identifications(case: Case) -> Iterator[Evidence]:
 
 def _between(time_ns: Integers, identification: NDArray[np.uint16]) -> tuple[int, int]:
     """Return the numbers of even identifications (checked, missing) with both neighbours within a tick."""
-    if len(time_ns) < 2:
-        return 0, 0
     run = np.concatenate(([0], np.cumsum(np.diff(time_ns) >= _TICK_NS)))
     ahead = identification.astype(np.int64) - identification[np.flatnonzero(np.diff(run, prepend=-1))][run]
     ahead = (ahead + (1 << 15)) % (1 << 16) - (1 << 15)
@@ -356,8 +359,7 @@ def _sequence_counts(case: Case) -> Iterator[Evidence]:
         of, last = np.repeat(few, steps), np.cumsum(steps) - 1
         place = np.arange(len(of)) - np.repeat(last - steps + 1, steps) + 1
         when = made_ns[of] + (made_ns[of + 1] - made_ns[of]) * place // np.repeat(steps, steps)
-        absent = np.ones(len(of), bool)
-        absent[last] = False
+        absent = place < np.repeat(steps, steps)
         start_ns, end_ns = when - _ROUNDS_NS, when + _ROUNDS_NS
         usable = _quiet(track, start_ns, end_ns) & ~overlapping(start_ns, end_ns, case.all_holes)
         sender = int(instances.hosts[case.rows.source[own[0]]])
@@ -409,6 +411,31 @@ def overlapping(start_ns: Integers, end_ns: Integers, holes: Sequence[tuple[int,
     return out
 
 
+def least_runs(case: Case, streams: Sequence[Stream]) -> int:
+    """Return how few runs of missing frames can have caused all gaps of some streams.
+
+    Up to ``_MOST_RUNS`` are looked for; what these leave open counts as one run each.
+    A run lies between two captured frames, so it can be in all gaps that contain both. A sender goes on in a
+    gap: it sends in each round of Telemetry Output, or as evenly as the number of missing messages allows.
+    """
+    round_ns, times, spans = case.profile.to_wake_ns, case.rows.time_ns, [np.zeros((2, 0), np.int64)]
+    for stream in streams:
+        at = np.flatnonzero(stream.missing[:-1])
+        start, end = stream.time_ns[at], stream.time_ns[at + 1]
+        points = np.minimum(stream.missing[at], (end - start) // round_ns + 1)
+        of = np.repeat(np.arange(len(at)), points)
+        step = ((end - start) // (points + 1))[of]
+        due = start[of] + step * (np.arange(len(of)) - np.repeat(np.cumsum(points) - points, points) + 1)
+        slack = np.where(points[of] > 1, round_ns, step)
+        spans.append(np.stack((np.maximum(start[of], due - slack), np.minimum(end[of], due + slack))))
+    low, high = np.concatenate(spans, axis=1)
+    low, high, runs = np.searchsorted(times, low, "right") - 1, np.searchsorted(times, high), 0
+    while len(high) and runs < _MOST_RUNS:  # each run is as late as the gap that ends first allows
+        runs, others = runs + 1, (low >= high.min()) & (high > high.min())
+        low, high = low[others], high[others]
+    return runs + len(high)
+
+
 def binomial_tail(missing: int, checked: int, share: float) -> float:
     """Return the probability of at most ``missing`` misses in ``checked`` trials of probability ``share``."""
     if share <= 0 or missing >= checked:
@@ -429,15 +456,11 @@ def binomial_tail(missing: int, checked: int, share: float) -> float:
 @cache
 def largest_share(checked: int, missing: int, confidence: float = CONFIDENCE) -> float:
     """Return the upper end of the one-sided Clopper-Pearson interval for the missing share, 0 to 1."""
-    if missing >= checked:
-        return 1.0
-    low, high = missing / checked, 1.0
+    low, high = missing / max(checked, 1), 1.0
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
-        if binomial_tail(missing, checked, middle) > 1 - confidence:
-            low = middle
-        else:
-            high = middle
+        is_likely = binomial_tail(missing, checked, middle) > 1 - confidence
+        low, high = (middle, high) if is_likely else (low, middle)
     return high
 
 
@@ -488,7 +511,7 @@ _MOST: Final = 64
 
 
 def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Return the certain holes of a capture, then the possible ones (rules 12 to 15): (start, end) in ns.
+    """Return the certain holes of a capture, then the possible ones (rules 13 to 16): (start, end) in ns.
 
     Args:
         rows: table of datagrams, in order of time.
@@ -517,9 +540,8 @@ def find_holes(rows: Rows) -> tuple[list[tuple[int, int]], list[tuple[int, int]]
 
 def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
     """Return whether a sender was active around a span, with a period much shorter than the span."""
-    at = int(np.searchsorted(times, start_ns, "right"))
-    before, after = times[:at], times[at:]
-    before, after = before[before > start_ns - _AROUND_NS], after[after < end_ns + _AROUND_NS]
+    before = times[(times > start_ns - _AROUND_NS) & (times <= start_ns)]
+    after = times[(times > start_ns) & (times < end_ns + _AROUND_NS)]
     if min(len(before), len(after)) < _LEAST_ROWS:
         return False
     usual = np.quantile(np.concatenate((np.diff(before), np.diff(after))), 0.9)
@@ -529,14 +551,10 @@ def _steady(times: Integers, start_ns: int, end_ns: int) -> bool:
 
 def _missing_at(rows: Rows, streams: Sequence[Places], start_ns: int) -> tuple[int, int, int]:
     """Return three numbers at a time: streams with missing counts, all streams, and missing packets."""
-    missing = number = packets = 0
-    for own in streams:
-        at = int(np.searchsorted(rows.time_ns[own], start_ns, "right"))
-        if 0 < at < len(own) and len(own) > _LEAST_ROWS:
-            number += 1
-            missing += bool(rows.missing[own[at]] > 0)
-            packets += int(rows.missing[own[at]])
-    return missing, number, packets
+    enough = [own for own in streams if len(own) > _LEAST_ROWS]
+    behind = [(own, int(np.searchsorted(rows.time_ns[own], start_ns, "right"))) for own in enough]
+    missing = [int(rows.missing[own[at]]) for own, at in behind if 0 < at < len(own)]
+    return sum(map(bool, missing)), len(missing), sum(missing)
 
 
 class HostDrops(NamedTuple):
@@ -578,9 +596,6 @@ def host_drops(readings: Sequence[HostCounters], start_ns: int, end_ns: int) -> 
         values = [value for item in used if (value := getattr(item, name)) is not None]
         return max(0, values[-1] - values[0]) if values else 0
 
-    return HostDrops(
-        {port: count for port, count in sorted(dropped.items()) if count},
-        increase("reassembly_failures"),
-        increase("interface_drops"),
-        frozenset(item.port for item in last.values()),
-    )
+    drops = {port: count for port, count in sorted(dropped.items()) if count}
+    ports = frozenset(item.port for item in last.values())
+    return HostDrops(drops, increase("reassembly_failures"), increase("interface_drops"), ports)

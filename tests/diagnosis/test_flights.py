@@ -1035,6 +1035,7 @@ HURT = [
     ("sbn_restarted", mutations.doubled_later(1, 3000)),
     *((name, mutations.without_middle(0.7, 0.8)) for name in ("nobody_subscribes", "ci_counters_reset")),
     ("captured_amid_a_flood", mutations.without_middle(0.3, 0.4)),
+    ("stood_still", mutations.without_middle(0.25, 0.28)),
     ("ci_counters_reset", mutations.without_middle(0.5, 0.6)),
     *(("sbn_alone", mutations.without_middle(0.6, until)) for until in (0.62, 0.75)),
 ]

@@ -2,6 +2,7 @@
 
 from fractions import Fraction
 from math import comb
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from edoras_tools.diagnosis.quality import (
     binomial_tail,
     largest_number,
     largest_share,
+    least_runs,
 )
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.workbench import Settings
@@ -89,6 +91,39 @@ def test_what_lacks_none_excludes_the_share_that_the_issue_names():
 def test_one_that_lacks_excludes_nothing():
     assert not Quality((Evidence("inputs", 0, 1000, 1),)).excludes(1.0)
     assert not Quality((Evidence("inputs", 0, 1000, 0), Evidence("ci_counts", 0, 200, 3))).excludes(1.0)
+
+
+def runs_of(captured_s, *streams):
+    """Return the least number of runs for streams, each of times and the missing messages behind each."""
+    times = np.array(captured_s) * SECOND
+    case = SimpleNamespace(
+        rows=SimpleNamespace(time_ns=times), profile=SimpleNamespace(to_wake_ns=SECOND // 2)
+    )
+    parts = [(np.array(own) * SECOND, np.array(missing)) for own, missing in streams]
+    return least_runs(case, [SimpleNamespace(time_ns=own, missing=missing) for own, missing in parts])
+
+
+def test_gaps_of_several_streams_at_one_time_are_one_run():
+    streams = ([0, 40], [3, 0]), ([1, 41], [4, 0]), ([2, 42], [2, 0])
+    assert runs_of([0, 1, 2, 40, 41, 42], *streams) == 1
+    assert runs_of([0, 1, 2, 20, 40, 41, 42], *streams) == 2  # one was captured in between
+    assert runs_of([0, 4, 10, 14], ([0, 4, 10, 14], [1, 0, 1, 0])) == 2
+    assert runs_of([0, 4], ([0, 4], [0, 0])) == runs_of([0, 4]) == 0
+
+
+def test_while_others_are_captured_an_outage_is_many_runs():
+    assert runs_of(range(31), ([0, 30], [300, 0])) > 10
+    assert runs_of([0, 30], ([0, 30], [300, 0])) == 1
+    every = list(range(101))
+    assert runs_of(every, (every, [1] * 100 + [0])) == 100
+
+
+def test_what_is_missing_in_runs_is_not_bounded_by_its_neighbours():
+    alone = Quality((Evidence("identifications", 0, 400, 0),))
+    assert alone.excludes(0.1)
+    assert not alone.of_runs.excludes(0.1)
+    both = Quality((*alone.evidence, Evidence("periods", 0, 100, 0)))
+    assert both.of_runs.excludes(0.1)
 
 
 def test_nothing_checked_may_have_missed_all():

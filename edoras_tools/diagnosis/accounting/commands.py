@@ -45,7 +45,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes, more_at_once
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_rounds
-from edoras_tools.diagnosis.quality import CONFIDENCE, overlapping
+from edoras_tools.diagnosis.quality import CONFIDENCE, FEW_RUNS, least_runs, overlapping
 from edoras_tools.diagnosis.verdict import Verdict
 from edoras_tools.model import Finding
 from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, distinct
@@ -750,16 +750,21 @@ def hold_back(case: Case, every: Sequence[Claim]) -> None:
 def _missed(case: Case, gaps: Mapping[Any, list[int]]) -> Iterator[tuple[Stream, list[int]]]:
     """Yield streams, and how many messages of each of their gaps the capture may have missed.
 
-    Nothing is yielded if a capture that misses such a share of frames would have shown it elsewhere.
+    Nothing is yielded if a capture that misses such a share of frames would have shown it elsewhere. That is
+    not so for a few runs of frames: each is one miss, however many messages it took.
     """
-    missing = sum(map(sum, gaps.values()))
+    missing, streams = sum(map(sum, gaps.values())), [item for item in case.streams if gaps.get(item)]
+    runs = least_runs(case, streams)
+    few = runs <= FEW_RUNS and not case.quality.counts
+    quality = case.quality.of_runs if 2 * runs <= missing else case.quality
     # In streams without sequence counts a frame missed by the capture leaves no gap.
     came = sum(len(item) for item in case.streams if item.counted and not item.link.only_to_cfs)
-    for stream in case.streams if missing and not case.quality.excludes(missing / (came + missing)) else ():
-        if numbers := gaps.get(stream, []):
-            size = len(stream) + int(stream.missing.sum())  # one missed frame is enough to lose a datagram
-            most = case.quality.may_have_missed(case.frames(stream) * size, case.confidence)
-            yield stream, claims.shares(min(sum(numbers), most), numbers, numbers)
+    excluded = not few and missing and quality.excludes(missing / (came + missing))
+    for stream in () if excluded else streams:
+        numbers, size = gaps[stream], len(stream) + int(stream.missing.sum())
+        # One missed frame is enough to lose a datagram.
+        most = sum(numbers) if few else quality.may_have_missed(case.frames(stream) * size, case.confidence)
+        yield stream, claims.shares(min(sum(numbers), most), numbers, numbers)
 
 
 def _spans(fates: Sequence[Fate]) -> Integers:
@@ -796,7 +801,12 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
         number = loss.lost if loss.kind in _UNEXPLAINED else loss.uncounted
         if number and loss.stream is not None and not streamed[loss.stream.rows[0]]:
             gaps.setdefault(loss.stream, []).append((loss, number))
-    spare = _counted_but_missed(case, [*telemetry.losses, *losses])
+    # Of those whose loss was counted, some may be others, because the capture missed these.
+    lost = Counter[Hashable]()
+    for loss in (*telemetry.losses, *losses) if case.quality.lacks_answered else ():
+        if loss.kind in COUNTERS and loss.stream is not None:
+            lost[loss.stream] += loss.lost
+    spare = sum(most_missed(case, lost).values())
     for stream, shares in _missed(case, {item: [many for _, many in own] for item, own in gaps.items()}):
         for (loss, number), share in zip(gaps[stream], shares, strict=True):
             _take_back(telemetry, loss, min(number, share + spare))
@@ -809,15 +819,6 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
         fate.ends["missed"] += missed + more
         fate.ends["unaccounted"] -= missed + more
         spare -= more
-
-
-def _counted_but_missed(case: Case, losses: Sequence[Loss]) -> int:
-    """Return how many messages whose loss was counted may be others, because the capture missed these."""
-    lost = Counter[Hashable]()
-    for loss in losses if case.quality.lacks_answered else ():
-        if loss.kind in COUNTERS and loss.stream is not None:
-            lost[loss.stream] += loss.lost
-    return sum(most_missed(case, lost).values())
 
 
 def _take_back_in_holes(case: Case, telemetry: Telemetry) -> None:
