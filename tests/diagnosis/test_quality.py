@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import CAPTURES
 
+from edoras_tools.diagnosis.accounting.commands import _missed
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.diagnosis.quality import (
     Evidence,
@@ -116,6 +117,27 @@ def test_while_others_are_captured_an_outage_is_many_runs():
     assert runs_of([0, 30], ([0, 30], [300, 0])) == 1
     every = list(range(101))
     assert runs_of(every, (every, [1] * 100 + [0])) == 100
+
+
+class Gappy:
+    """A stream with a message each second, and gaps."""
+
+    counted, link = True, SimpleNamespace(only_to_cfs=False)
+
+    def __init__(self, missing):
+        self.missing, self.time_ns = np.array(missing), np.arange(len(missing)) * SECOND
+
+    def __len__(self):
+        return len(self.missing)
+
+
+def test_a_stream_with_more_gaps_of_other_causes_does_not_show_the_runs():
+    once, often = Gappy([0] * 50 + [9] + [0] * 49), Gappy([1] * 99 + [0])
+    case = SimpleNamespace(streams=[once, often], confidence=0.999, frames=lambda _: 1)
+    case.rows, case.profile = SimpleNamespace(time_ns=once.time_ns), SimpleNamespace(to_wake_ns=SECOND // 2)
+    case.quality = Quality((Evidence("inputs", 0, 3000, 0),))
+    assert dict(_missed(case, {once: [9], often: [1]})) == {once: [9], often: [1]}
+    assert dict(_missed(case, {often: [1]})) == {}
 
 
 def test_what_is_missing_in_runs_is_not_bounded_by_its_neighbours():

@@ -751,12 +751,13 @@ def _missed(case: Case, gaps: Mapping[Any, list[int]]) -> Iterator[tuple[Stream,
     """Yield streams, and how many messages of each of their gaps the capture may have missed.
 
     Nothing is yielded if a capture that misses such a share of frames would have shown it elsewhere. That is
-    not so for a few runs of frames: each is one miss, however many messages it took.
+    not so for a few runs of frames: each is one miss, however many messages it took. A stream with as
+    many gaps of other causes does not show the runs.
     """
     missing, streams = sum(map(sum, gaps.values())), [item for item in case.streams if gaps.get(item)]
-    runs = least_runs(case, streams)
-    few = runs <= FEW_RUNS and not case.quality.counts
-    quality = case.quality.of_runs if 2 * runs <= missing else case.quality
+    runs = least_runs(case, [item for item in streams if 2 * sum(gaps[item]) > item.missing.sum()])
+    few = 0 < runs <= FEW_RUNS and not case.quality.counts
+    quality = case.quality.of_runs if 0 < 2 * runs <= missing else case.quality
     # In streams without sequence counts a frame missed by the capture leaves no gap.
     came = sum(len(item) for item in case.streams if item.counted and not item.link.only_to_cfs)
     excluded = not few and missing and quality.excludes(missing / (came + missing))
