@@ -38,7 +38,7 @@ SETTINGS = Settings([MISSIONS / "rover_ground.yaml"])
 ROVER = CAPTURES / "a_rover.pcap"
 NAMES = ("a_rover", "b_arm_single", "e_ci_errors", "f_sbn_disconnect")
 SMALL = ("a_rover", "b_arm_single")
-LOST = 92 + 18 + 31
+LOST = 92 + 18 + 28
 
 
 @pytest.fixture(scope="module")
