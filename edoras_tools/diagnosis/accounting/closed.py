@@ -540,6 +540,7 @@ class Stops:
     def __init__(self, case: Case, fates: Sequence[Fate]) -> None:
         self._case = case
         self._causes: dict[tuple[LossKind, str, str], int] = {}
+        self._beside = [item for item in boots(case) if item[2]]
         self.losses: list[Loss] = []
         self._fates = [fate for fate in fates if not fate.stream.is_housekeeping]
         stopped = [item for item in case.outages if item.app not in _LINKS]
@@ -735,8 +736,8 @@ class Stops:
     def _mark_beside(self, fate: Fate) -> None:
         """Mark the messages that a second cFS got, of which none came out since it was started."""
         times, last_ns = fate.stream.time_ns, fate.stream.time_ns[fate.arrived].max(initial=0)
-        for _, index, boot_ns in boots(self._case):
-            if boot_ns and fate.stream.link.only_to_cfs and self._case.goes_to(fate.stream, index):
+        for _, index, boot_ns in self._beside:
+            if fate.stream.link.only_to_cfs and self._case.goes_to(fate.stream, index):
                 inside = fate.open & (fate.stop < 0) & (times > max(boot_ns, last_ns))
                 text = f"started at {self._case.at(boot_ns)} beside another one: it has CI's port"
                 self.mark(fate, inside, "beside", self._case.label(index), text)

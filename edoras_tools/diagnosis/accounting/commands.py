@@ -283,7 +283,7 @@ class Commands:
         case, stream, number = self._case, fate.stream, fate.ends["unaccounted"] * fate.seen
         rows = np.flatnonzero(fate.open & ~fate.edge)
         counted = all(hop.out.counted and case.owner(hop.out) in case.loss_counts for hop in fate.hops)
-        came_ns = case.rows.time_ns[case.rows.destination == stream.receiver]
+        came_ns = case.arriving(stream.receiver)
         full = more_at_once(came_ns, case.profile.sbn_wake_ns, case.profile.socket_queue)
         before = stream.link.peers and (full or case.is_far(stream.receiver))
         if number and before and counted and fate.claim(rows):

@@ -210,7 +210,8 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
         "unsubscribed": "let the peer subscribe to that MsgId again: compare what it is told to receive",
         "disabled": f"enable Telemetry Output as soon as it runs: {case.inject(ENABLE_OUTPUT)}",
         "beside": "end one of the two cFS: an application of the second one may find its port in use",
-        "sbn_socket": "spread what is sent: SBN reads each 200 ms, and its socket holds some 200 (assumed)",
+        "sbn_socket": f"spread what is sent: SBN reads every {case.profile.sbn_wake_ns / 1e6:.0f} ms, and "
+        f"its socket holds about {case.profile.socket_queue} (assumed)",
         "route": "enable it: 0x1803, function code 4, with the MsgId and the pipe of that command",
     }
     for loss in case.losses:
