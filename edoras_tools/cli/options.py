@@ -288,13 +288,13 @@ def time_zone(text: str) -> tuple[tzinfo | None]:
 
 
 def share(text: str) -> float:
-    """Read a share: ``1%`` or ``0.01``."""
+    """Read a share: ``1%`` or ``0.01``. A bare ``1`` may mean either 1 % or all, so it is neither."""
     from edoras_tools.sessions.faults.rules import probability
 
-    try:
-        return probability(text)
-    except ValueError:
-        raise BadParameter(f"{text!r} is not a share; write 1% or 0.01") from None
+    with suppress(ValueError):
+        if (value := probability(text)) < 1 or "%" in text:
+            return value
+    raise BadParameter(f"{text!r} is not a share; write 1% or 0.01")
 
 
 def room(text: str) -> tuple[str, float]:
