@@ -279,7 +279,7 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     if measured or loss.offered_hz > rate:
         fits = _explains(own.between(loss.start_ns, loss.end_ns).lost((now,), msg_id), loss.lost)
     if loss.stream.counted:  # else the arrivals do not contain the lost messages
-        slower = _spread(case, own, queue, limit, slower, ("published", "TO" if output else "SBN"))
+        slower = _spread(case, own, queue, limit, slower, ("published", "TO" if output else "SBN", 0))
     slow = max(own.spaced(SECOND / _safe(rate), msg_id).lost((now,), msg_id)) if fits else None
     if not output:
         return Advice(why, slower, slow)
@@ -310,18 +310,18 @@ def _explains(model: list[int], lost: int, waiting: int = 0) -> bool:
 
 
 def _spread(
-    case: Case, own: Arrivals, queue: queues.Queue, limit: int, slower: str, words: tuple[str, str]
+    case: Case, own: Arrivals, queue: queues.Queue, limit: int, slower: str, words: tuple[str, str, int]
 ) -> str:
     """Return the remedy for a rate: send slower, or spread bursts; or that the reader of the queue was late.
 
     Args:
         slower: remedy for a sender that is too fast.
-        words: what senders did, as a participle; and the reader of the queue.
+        words: what senders did, as a participle; the reader of the queue; and how many more CI counted, if
+            these are enough to fill it.
     """
-    did, reader = words
+    did, reader, more = words
     most = own.most(queue.round_ns)
     if most <= limit:
-        more = sum(item.not_captured for item in case.ingests) if did == "sent" else 0
         if more:
             return f"see what doubles commands on the way, or who else sends: CI counted {more:,} more"
         return f"see what keeps {reader} from its pipe (its console, the load of its host)"
@@ -398,7 +398,8 @@ def _at_application(case: Case, loss: Loss) -> Advice:
     arrivals = arrivals.around(loss, pipe.round_ns)
     own, way = arrivals.only(stream.msg_id), (pipe,) if over_network else (socket, pipe)
     at_limit, in_socket = (_meanwhile(case, loss, kind) for kind in ("limit", "socket"))
-    waiting = sum(item.waiting for item in case.ingests_at(stream.receiver))
+    ingests = case.ingests_at(stream.receiver)
+    waiting, more = sum(item.waiting for item in ingests), sum(item.not_captured for item in ingests)
     number = at_limit + in_socket or loss.lost
     model = arrivals.between(loss.start_ns, loss.end_ns).lost(way, stream.msg_id)
     fits = _explains(model, number, waiting)
@@ -414,11 +415,12 @@ def _at_application(case: Case, loss: Loss) -> Advice:
         every = f"every {pipe.round_ns // MILLISECOND} ms"
         reads = f"it reads {socket.reads} {every} (up to {at_once} were), and the rest comes late"
         most = int(np.bincount(case.rows.source[rows]).argmax())
-        by = f", most of it by {case.endpoints[most]}" if most != stream.sender else ""
+        by = f", most of it by {case.endpoints[most]}" * (most != stream.sender)
         slower = f"spread all that is sent to CI{by}: {reads}"
     else:
         at = limit if not slow else len(rows)  # read later than the model does: no rate helps alone
-        slower = _spread(case, own, pipe, at, slower, ("sent", "the application's task"))
+        words = "sent", "the application's task", more * (more >= number)  # fewer do not fill the pipe
+        slower = _spread(case, own, pipe, at, slower, words)
     need = min(own.most(pipe.round_ns * _LATE) + 1, pipe.depth if over_network else socket.reads)
     higher = (*way[:-1], pipe.with_limit(stream.msg_id, need))
     if need > limit and not (slow or in_socket or max(arrivals.lost(higher, stream.msg_id))):

@@ -3,6 +3,7 @@
 import random
 import re
 from collections import Counter
+from itertools import pairwise
 
 import mutations
 import pytest
@@ -441,6 +442,16 @@ def test_an_application_that_reads_late_is_helped_by_no_rate_and_no_limit(name):
     assert "CFE_SB_SubscribeEx" not in text
 
 
+def test_two_commands_that_the_capture_missed_fill_no_pipe(tmp_path):
+    items = mutations.frames(FOLDER / "takes_180_ms_for_each.pcap.zst")
+    to_ci = [at for at, item in enumerate(items) if mutations.is_to(item.data, 1234)]
+    missed = {to_ci[len(to_ci) // 3], to_ci[len(to_ci) // 3 + 9]}
+    kept = [item for at, item in enumerate(items) if at not in missed]
+    text = first_screen(truth.examined(mutations.write(tmp_path / "x.pcap", kept)))
+    assert "see what keeps the application's task from its pipe" in text
+    assert "doubles" not in text
+
+
 def test_an_application_that_reads_its_pipe_again_is_not_told_to_be_restarted_in_vain(tmp_path):
     """It sends no housekeeping any more, and no counter says that its pipe fills; the robot gets the rest."""
     items = mutations.frames(FOLDER / "crashed_twice.pcap.zst")
@@ -752,11 +763,42 @@ def test_where_a_peer_sends_from_another_port_than_its_closed_one_the_tables_are
     assert "sbn_conf_tbl" not in first_screen(examined("bridge_of_another_id"))
 
 
+def test_who_sends_to_a_dead_bridge_is_not_the_bridge_at_another_port(tmp_path):
+    """The capture begins when the bridge has ended, and lasts until it comes back: cFS is heard alone."""
+    items = mutations.frames(FOLDER / "both_bridges_off.pcap.zst")
+    words = [item.time_ns for item in items if item.data[34:36] == (2236).to_bytes(2, "big")]
+    _, ended_ns, back_ns = max((later - when, when, later) for when, later in pairwise(words))
+    dead = [item for item in items if ended_ns < item.time_ns - SECOND // 500 < back_ns - SECOND // 100]
+    found = truth.examined(mutations.write(tmp_path / "x.pcap", dead))
+    (item,) = [item for item in found.verdicts if item.hop.endswith(":2236")]
+    assert (item.lost, item.remedy[:30]) == (10, "start what listens there first")
+
+
 def test_what_sbn_itself_says_is_no_message_and_none_is_lost_twice():
     """The older header makes 60 and 30 poses one of an unknown peer's, beside lists and answers."""
     found = examined("peer_of_an_older_sbn")
     assert {row.msg_id for row in found.balance if row.proven} == {0x1827, 0x1828, 0x1829, 0x182A}
-    assert "unknown_peer" not in {item.rule for item in found.verdicts}
+    # Lists that are read four bytes too late have no $Id.
+    assert not {"unknown_peer", "wrong_ident"} & {item.rule for item in found.verdicts}
+    assert 0 not in {item.lost for item in found.verdicts}
+
+
+def test_what_a_peer_gets_whose_lists_are_refused_is_helped_by_the_same_sources():
+    text = first_screen(examined("lists_of_another_build"))
+    assert "build bridge and cFS from the same SBN sources, or copy its $Id" in text
+    assert "let the peer subscribe to that MsgId again" not in text
+
+
+def test_lists_with_the_ident_that_their_receiver_has_are_not_refused(tmp_path):
+    ident, other = b"dccf6239093d99c4c9351e140c15b61a95d8fc37", b"e" * 40
+    items = mutations.frames(FOLDER / "unsubscribed.pcap.zst")
+    items = [
+        item._replace(data=mutations.summed(item.data.replace(ident, other))) if ident in item.data else item
+        for item in items
+    ]
+    found = truth.examined(mutations.write(tmp_path / "x.pcap", items))
+    assert "wrong_ident" not in {item.rule for item in found.verdicts}
+    assert found.lost == examined("unsubscribed").lost
 
 
 def test_counts_while_the_application_restarts_are_of_what_was_sent_to_it():
@@ -1269,6 +1311,27 @@ def test_what_was_sent_before_cfs_started_has_a_verdict_with_advice():
     assert item.lost == 88
     assert item.reason.startswith("cFS 66:1 was started at 11.2 s: 88 commands")
     assert "send nothing until cFS runs" in first_screen(found)
+
+
+def test_each_of_two_cfs_that_start_late_has_what_was_sent_to_it_before(tmp_path):
+    """The second one is on another host, and starts three seconds after the first."""
+    items = mutations.frames(FOLDER / "started_after_its_bridge.pcap.zst")
+    udp = [item for item in items if item.data[12:14] == b"\x08\x00" and item.data[23] == 17]
+    here, there = bytes([127, 0, 0, 1]), bytes([10, 0, 0, 2])
+    moved = [
+        item._replace(
+            time_ns=item.time_ns + 3 * SECOND,
+            data=mutations.summed(item.data[:26] + item.data[26:34].replace(here, there) + item.data[34:]),
+        )
+        for item in udp
+    ]
+    both = sorted([*items, *moved], key=lambda item: item.time_ns)
+    found = truth.examined(mutations.write(tmp_path / "x.pcap", both))
+    started = [item for item in found.verdicts if item.rule == "cfs_restart"]
+    assert sorted((item.lost, item.reason.split(" was ")[0]) for item in started) == [
+        (88, "cFS 66:1 at 10.0.0.2"),
+        (88, "cFS 66:1 at 127.0.0.1"),
+    ]
 
 
 def test_who_sends_slowly_to_an_application_that_is_stopped_fills_its_pipe():

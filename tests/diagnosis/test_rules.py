@@ -993,6 +993,22 @@ def test_of_alike_errors_the_most_frequent_is_quoted(lab):
     assert "CFE_PLATFORM_SB_MAX_MSG_IDS" in said.remedy
 
 
+@pytest.mark.parametrize(("number", "why"), [(8, "neither a pipe nor an event"), (15, "as cFS reports")])
+def test_a_failed_subscription_is_no_reason_of_sends_that_fail(number, why, lab):
+    sent, _ = lab.simulate(seconds=20)
+    counters = cfe.SOFTWARE_BUS_HOUSEKEEPING.by_name
+    at = cfe.TELEMETRY_HEADER_BYTES + counters["message_send_error_counter"].start
+    sent = [
+        item._replace(payload=item.payload[:at] + bytes([5]) + item.payload[at + 1 :])
+        if item.payload[:2] == b"\x08\x03" and item.time_ns > sent[0].time_ns + 12 * 10**9
+        else item
+        for item in sent
+    ]
+    found = lab.examine(lab.merged(sent, lab.event(11, "CFE_SB", number, "an error", 3)))
+    (said,) = [item.reason for item in found.verdicts if "5 sends on the software bus" in item.reason]
+    assert why in said
+
+
 @pytest.mark.each(2)
 @pytest.mark.quick("rover", "two-arms")
 @pytest.mark.parametrize("scenario", ["rover", "arm", "two-rovers", "two-arms"])

@@ -114,15 +114,13 @@ def note_silences(case: Case) -> None:
         ]
         if causes:
             place = min(causes)[1]
-            text = _stopped(case, members)
             before = case.verdicts[place]
-            case.verdicts[place] = replace(before, evidence=(*before.evidence, text))
+            case.verdicts[place] = replace(before, evidence=(*before.evidence, _stopped(case, members)))
 
 
 def _next_ns(silence: Silence) -> int:
     """Return when the next message would have come: a cause comes before that."""
-    rate = silence.rate
-    return silence.start_ns + (_SLACK_NS + int(SECOND / rate.hz) if rate else _NEAR_NS)
+    return silence.start_ns + (_SLACK_NS + int(SECOND / silence.rate.hz) if silence.rate else _NEAR_NS)
 
 
 def _every(case: Case) -> list[Silence]:
@@ -145,11 +143,10 @@ def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
     ran = {stream.instance, case.owner(stream)} - {NOBODY}
     ended_ns = min((case.instances.items[index].last_ns for index in ran), default=case.end_ns)
     steps = np.diff(np.append(times, ended_ns))
-    spans = stream.spans
     for at in np.flatnonzero((steps > _WAIT_NS) & (stream.missing == 0)).tolist():
         start_ns = int(times[at])
         until_ns = int(times[at + 1]) if at + 1 < len(times) else _again(case, stream, start_ns)
-        before = [item for item in spans if item.first <= at]
+        before = [item for item in stream.spans if item.first <= at]
         rate = _rate(stream, times, before, at)
         length = until_ns - start_ns if until_ns else int(steps[at])
         own = times[before[-1].first : at + 1]
@@ -215,9 +212,8 @@ def _others_go_on(case: Case, silence: Silence, members: Sequence[Silence]) -> b
     own = {item.stream for item in members}
     for other in case.streams:
         if other not in own and (silence.stream.is_housekeeping or not other.is_housekeeping):
-            times = other.time_ns
-            later = (times > start_ns + (end_ns - start_ns) // 4) & (times < end_ns)
-            if int(later.sum()) > _FEW and (times <= start_ns).any():
+            later = (other.time_ns > start_ns + (end_ns - start_ns) // 4) & (other.time_ns < end_ns)
+            if int(later.sum()) > _FEW and (other.time_ns <= start_ns).any():
                 return True
     return False
 
@@ -227,12 +223,11 @@ def _again(case: Case, stream: Stream, start_ns: int) -> int | None:
     if not stream.link.peers:
         return None
     party = case.network.party
-    ways = party(stream.sender), party(stream.receiver)
     later = [
         when
         for item in case.streams
         if (item.link, item.msg_id) == (stream.link, stream.msg_id)
-        and (party(item.sender), party(item.receiver)) == ways
+        and (party(item.sender), party(item.receiver)) == (party(stream.sender), party(stream.receiver))
         and (item.sender, item.receiver) != (stream.sender, stream.receiver)
         for when in item.time_ns[item.time_ns > start_ns][:1].tolist()
     ]
@@ -356,20 +351,20 @@ def cfs_restart(case: Case) -> Iterator[Verdict]:
     """
     how = "its clock went on, as after a processor reset: counts begin lower"
     for reset in case.resets:
-        yield _restarted(case, case.label(reset.instance), (reset.start_ns, reset.end_ns), how)
+        yield _restarted(case, reset.instance, (reset.start_ns, reset.end_ns), how)
     items = case.instances.items
-    for first in sorted(items, key=lambda item: item.first_ns)[:1]:
-        booted_ns, span = first.boot_ns(case.profile), (case.start_ns, first.first_ns)
-        if span[0] < booted_ns < span[1] and _down(case, *span):
-            label, shown_by = case.label(items.index(first)), "its mission time began then"
-            yield _restarted(case, label, span, shown_by, booted_ns)
+    for own in by_key(range(len(items)), lambda at: case.instances.systems[at]).values():
+        at = min(own, key=lambda at: items[at].first_ns)
+        booted_ns, span = items[at].boot_ns(case.profile), (case.start_ns, items[at].first_ns)
+        if span[0] < booted_ns < span[1] and _down(case, at, *span):
+            yield _restarted(case, at, span, "its mission time began then", booted_ns)
     for before, index, boot_ns in boots(case):
         earlier, later = items[before], items[index]
         span = earlier.last_ns, later.first_ns
-        if earlier.name or later.name or _down(case, *span):  # frames that were cut name nobody
+        if earlier.name or later.name or _down(case, index, *span):  # frames that were cut name nobody
             moved = (later.offset_ns - earlier.offset_ns) / SECOND
             how = f"mission time against the capture's moved by {moved:.1f} s"
-            yield _restarted(case, case.label(index), span, how, boot_ns)
+            yield _restarted(case, index, span, how, boot_ns)
 
 
 def cfs_stalled(case: Case) -> Iterator[Verdict]:
@@ -394,16 +389,16 @@ def cfs_stalled(case: Case) -> Iterator[Verdict]:
         )
 
 
-def _down(case: Case, start_ns: int, end_ns: int) -> list[Loss]:
+def _down(case: Case, instance: int, start_ns: int, end_ns: int) -> list[Loss]:
     """Return what was lost while a cFS was down."""
-    return [
-        loss for loss in case.losses if loss.kind == "down" and start_ns - SECOND <= loss.start_ns <= end_ns
-    ]
+    near = (loss for loss in case.losses if start_ns - SECOND <= loss.start_ns <= end_ns)
+    down = (loss for loss in near if loss.kind == "down")
+    return [loss for loss in down if not loss.stream or case.goes_to(loss.stream, instance)]
 
 
-def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, booted_ns: int = 0) -> Verdict:
+def _restarted(case: Case, instance: int, span: tuple[int, int], how: str, booted_ns: int = 0) -> Verdict:
     """Return that a cFS was started; ``how`` it shows, and when, if none ran before or one still ran."""
-    rows, down = case.rows, _down(case, *span)
+    rows, down = case.rows, _down(case, instance, *span)
     commanded = (rows.known_id == ES_COMMAND_MSG_ID) & (rows.function_code == RESTART)
     ended_ns = min((loss.start_ns + SECOND for loss in down), default=span[1])  # later ones were lost
     commanded &= (rows.time_ns > span[0] - SECOND) & (rows.time_ns < min(ended_ns, span[1]))
@@ -419,12 +414,11 @@ def _restarted(case: Case, whose: str, span: tuple[int, int], how: str, booted_n
             meanwhile = "only the later one gets what is sent to CI's port"
     if lost:
         span = min(loss.start_ns for loss in down), max(loss.end_ns for loss in down)
-        times = f"from {case.at(span[0])} to {case.at(span[1])}"
-        meanwhile = f"{plural(lost, noun)} sent {times} reached nobody"
+        meanwhile = f"{plural(lost, noun)} sent from {case.at(span[0])} to {case.at(span[1])} reached nobody"
         remedy = f"send nothing until cFS runs again; then {remedy}"
     return verdict(
         Severity.ERROR if lost else Severity.WARNING,
-        f"{whose} {began}: {meanwhile}",
+        f"{case.label(instance)} {began}: {meanwhile}",
         how,
         *(f"packet {at}: the processor was told to restart" for at in numbers),
         *dict.fromkeys(line for loss in down for line in loss.evidence),
@@ -526,7 +520,7 @@ _FAILED: Final = {
     15: "publish shorter messages, or build cFE for longer ones (CFE_MISSION_SB_MAX_SB_MSG_SIZE)",
     16: "let fewer or shorter messages wait, or give the bus more memory (CFE_PLATFORM_SB_BUF_MEMORY_BYTES)",
 }
-"""Events of CFE_SB that say why a subscription failed, or a send before it came to a pipe, and what helps."""
+"""Events of CFE_SB: why a subscription failed (8), or a send before it came to a pipe, and what helps."""
 
 
 def cfs_errors(case: Case) -> Iterator[Verdict]:
@@ -547,7 +541,7 @@ def cfs_errors(case: Case) -> Iterator[Verdict]:
         unsent = track.growth("send_errors")
         losses = sum(track.growth(name) for name in ("msg_limits", "pipe_overflows"))
         if unsent > losses + refused and not any("sends failed" in line for line in quotes):
-            reported = any(app == NAME and number in _FAILED for _, app, number in groups)
+            reported = any(app == NAME and number in {*_FAILED} - {8} for _, app, number in groups)
             cause = "as cFS reports" if reported else "and neither a pipe nor an event says why"
             number = plural(unsent - losses - refused, "send")
             reason = f"{number} on the software bus of {case.label(instance)} failed, {cause}"

@@ -36,7 +36,7 @@ from edoras_tools.links.bare import CI, ROBOT, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import rate_hz
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays import by_key
+from edoras_tools.wire.arrays import by_key, distinct
 from edoras_tools.words import either, listed, plural
 
 if TYPE_CHECKING:
@@ -135,9 +135,8 @@ def old_states(case: Case) -> Iterator[Verdict]:
         old = item.age_ns > rounds_ns
         if old.sum() < _LEAST:
             continue
-        sent, passed = (
-            rate_hz(len(times), int(times[-1] - times[0])) for times in (item.sent_ns, item.time_ns)
-        )
+        ways = item.sent_ns, item.time_ns
+        sent, passed = (rate_hz(len(times), int(times[-1] - times[0])) for times in ways)
         last, oldest = int(np.flatnonzero(old)[-1]), int(item.age_ns.argmax())
         at = case.at(int(item.time_ns[oldest]))
         yield warning(
@@ -192,8 +191,7 @@ def _where(case: Case, item: WayContent) -> str:
 
 
 def _first(case: Case, members: Places) -> str:
-    packets = listed([packet(case, int(row)) for row in members[:_FEW]])
-    return f"{packets}{', and more' * (len(members) > _FEW)}"
+    return listed([packet(case, int(row)) for row in members[:_FEW]]) + ", and more" * (len(members) > _FEW)
 
 
 _IN_A_ROW: Final = 8
@@ -216,8 +214,11 @@ def crossing_loss(case: Case) -> Iterator[Verdict]:
     }
     for loss in case.losses:
         if loss.kind in remedies:
-            text = f"{lost_at(case, loss)} {CAUSES[loss.kind].text}"
-            yield loss_verdict(case, loss, text, remedies[loss.kind])
+            text, remedy = f"{lost_at(case, loss)} {CAUSES[loss.kind].text}", remedies[loss.kind]
+            for own in case.verdicts if loss.kind == "unsubscribed" else ():
+                if own.rule == "wrong_ident" and own.start_ns <= loss.end_ns and loss.start_ns <= own.end_ns:
+                    remedy = own.remedy
+            yield loss_verdict(case, loss, text, remedy)
     for fate in case.commands.fates.values():
         if fate.ends["unaccounted"] or fate.ends["beyond"]:
             times, reason, evidence, remedy = (_never_out if fate.seen else _unfollowed)(case, fate)
@@ -306,10 +307,9 @@ def _relay_of(case: Case, loss: Loss) -> str:
     """Return the relay that took what is missing, and did not send it on; empty where none did."""
     assert loss.stream is not None
     place = loss.stream.link.code, loss.msg_id, loss.stream.receiver
-    own = (item for item in case.prepared.passed if (item.link, item.msg_id, item.receiver) == place)
-    for item in own:
+    for item in case.prepared.passed:
         near = (item.lost_ns > loss.start_ns - SECOND) & (item.lost_ns < loss.end_ns + SECOND)
-        if near.sum() >= loss.lost:
+        if (item.link, item.msg_id, item.receiver) == place and near.sum() >= loss.lost:
             return item.hop
     return ""
 
@@ -532,29 +532,24 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             continue
         start, last, errors = case.at(span.start_ns), case.at(span.last_ns), plural(span.errors, "ICMP error")
         unread = f"{plural(uncertain, 'more message')} may not have been read there" if uncertain else ""
-        opens = "not open again in this capture"
-        again = opens if span.end_ns == NEVER else f"open again at {case.at(span.end_ns)}"
+        never = span.end_ns == NEVER
+        again = "not open again in this capture" if never else f"open again at {case.at(span.end_ns)}"
         when = f"at {start}" if start == last else f"from {start} to {last}"
         reason = f"nobody listened on {span.port} {when}"
         reason += f": {plural(number, 'message')} reached nobody" if number else ""
         if span.step_ns:
             reason += f"; its own datagrams, {SECOND / span.step_ns:.1f} a second, stopped too"
-        link = next((s.link.label for s in case.streams if case.endpoints[s.receiver] == span.port), None)
-        remedy = "start what listens there first (its log may say why it ended), or send to its port"
-        for at, who in case.network.identity_of.items() if link == SBN.label else ():
-            if case.endpoints[at].address == span.port.address and at not in case.rows.destination:
-                remedy = f"make sbn_conf_tbl and the port of {who} agree: it sends from {case.endpoints[at]}"
         yield verdict(
             Severity.ERROR if number else Severity.WARNING,
             reason,
             f"{errors} (port unreachable), the first at {start}, the last at {last}",
             *(again, unread),
-            link=link,
+            link=next((s.link.label for s in case.streams if case.endpoints[s.receiver] == span.port), None),
             hop=f"{UDP_PORT} {span.port}",
             lost=number or None,
             of=number + uncertain,
             span=(span.start_ns, span.last_ns),
-            remedy=remedy,
+            remedy=_open_again(case, span),
         )
     for flow, number, more in case.unreached_flows:
         yield error(
@@ -567,6 +562,18 @@ def port_closed(case: Case) -> Iterator[Verdict]:
             span=(flow.first_ns, flow.last_ns),
             remedy="send to the port where that link's receiver listens",
         )
+
+
+def _open_again(case: Case, span: ClosedSpan) -> str:
+    """Return the remedy for a closed port: another one where its peer speaks from a port beside it."""
+    rows, peers = case.rows, case.network.identity_of
+    closed = np.isin(rows.destination, [at for at, end in enumerate(case.endpoints) if end == span.port])
+    meanwhile = (rows.time_ns >= span.start_ns) & (rows.time_ns <= span.last_ns)
+    meanwhile &= np.isin(rows.destination, rows.source[closed])
+    for at in peers.keys() & distinct(rows.source[meanwhile]).tolist():
+        if case.endpoints[at].address == span.port.address and at not in rows.destination:
+            return f"make sbn_conf_tbl and the port of {peers[at]} agree: it sends from {case.endpoints[at]}"
+    return "start what listens there first (its log may say why it ended), or send to its port"
 
 
 def unreachable(case: Case) -> Iterator[Verdict]:
@@ -597,17 +604,13 @@ def _within(case: Case, span: ClosedSpan, open_ns: int, cause: str | None) -> in
     Args:
         open_ns: when the span before it on this port ended.
     """
-    number = 0
+    sent: list[Integers] = []
     for item in case.unreached:
         if case.endpoints[item.endpoint] == span.port:
             rows = item.uncertain if cause is None else item.lost.get(cause, np.zeros(0, np.intp))
-            number += _between(item.sent_ns[rows], open_ns, span.end_ns)
+            sent.append(item.sent_ns[rows])
     for loss in case.commands.losses if cause else ():
         if loss.kind == cause and loss.stream and case.endpoints[loss.stream.receiver] == span.port:
             assert loss.among is not None
-            number += _between(loss.stream.time_ns[loss.among.rows], open_ns, span.end_ns)
-    return number
-
-
-def _between(times: Integers, start_ns: int, end_ns: int) -> int:
-    return int(((times >= start_ns) & (times < end_ns)).sum())
+            sent.append(loss.stream.time_ns[loss.among.rows])
+    return sum(int(((times >= open_ns) & (times < span.end_ns)).sum()) for times in sent)

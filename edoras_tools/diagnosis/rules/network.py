@@ -414,7 +414,7 @@ def _malformed(case: Case, members: list[int], kind: BadMessage) -> Verdict:
         *lines,
         **subject(case, members),
         hop="SBN",
-        lost=sum(rows.sbn_msg_type[row] not in _OWN_TYPES for row in members) if kind.events else None,
+        lost=sum(rows.sbn_msg_type[row] not in _OWN_TYPES for row in members if kind.events) or None,
         of=len(members),
         remedy="write 11 bytes of header: MsgSz of the payload alone, a known MsgType, both IDs",
         confidence="high" if lines or not kind.events else "medium",
@@ -450,9 +450,12 @@ def wrong_ident(case: Case) -> Iterator[Verdict]:
     rows, listed, contents = case.rows, case.payloads.subscriptions, case.payloads.contents
     by_ident: dict[tuple[int, str], list[int]] = {}
     other = np.array([item.ident != sbn.IDENT for item in contents], bool)[listed["said"]]
+    other &= ~rows.has(Finding.SBN_LEGACY_HEADER)[listed["row"]]
     for row, index in zip(listed["row"][other].tolist(), listed["said"][other].tolist(), strict=True):
         by_ident.setdefault((int(rows.source[row]), contents[index].ident), []).append(row)
     for (source, ident), members in by_ident.items():
+        if all((end, ident) in by_ident for end in distinct(rows.destination[members]).tolist()):
+            continue  # its receivers have the same
         who, detail = case.network.identity_of.get(source, "a peer"), f": {ident!r}, wanted {sbn.IDENT!r}"
         lines = answers(case, case.span(members)[0], facts.OTHER_IDENT)
         reason = f"{plural(len(members), 'subscription message')} of {who}: another $Id than cFS's: refused"
