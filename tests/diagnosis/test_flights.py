@@ -826,6 +826,25 @@ def test_bursts_fill_the_socket_of_sbn_and_refute_an_assumed_limit():
     assert "TO keeps 40 of this MsgId and sends every 500 ms: 80 a second get through (measured)" in text
 
 
+def test_a_burst_fills_the_socket_of_sbn_only_while_it_comes(tmp_path):
+    """The network loses 30 of what the peer sends; long after that 260 heartbeats come at once."""
+    items = mutations.frames(FOLDER / "lossy_link_to_a_peer.pcap.zst")
+    beat = next(item for item in items if mutations.is_to(item.data, 2234) and len(item.data) < 60)
+    begin_ns = items[0].time_ns + (items[-1].time_ns - items[0].time_ns) * 9 // 10
+    burst = [
+        mutations.Frame(
+            begin_ns + at * 20_000,
+            mutations.summed(beat.data[:18] + (40_000 + at).to_bytes(2, "big") + beat.data[20:]),
+            beat.length,
+        )
+        for at in range(260)
+    ]
+    every = sorted([*items, *burst], key=lambda item: item.time_ns)
+    causes = by_cause(truth.examined(mutations.write(tmp_path / "x.pcap", every)))
+    assert causes["sbn_socket"] == 0
+    assert causes["network"] == by_cause(examined("lossy_link_to_a_peer"))["network"] > 0
+
+
 def test_a_peer_that_did_not_subscribe_when_a_capture_began_lost_no_more_than_it_was_sent(tmp_path):
     items = mutations.part(0.3, 1)(mutations.frames(FOLDER / "unsubscribed.pcap.zst"), random)
     result = truth.diagnosed(mutations.write(tmp_path / "x.pcap", items), ())

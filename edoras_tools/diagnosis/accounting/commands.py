@@ -42,7 +42,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     follow,
     may_give_way,
 )
-from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes, more_at_once
+from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_rounds
 from edoras_tools.diagnosis.quality import CONFIDENCE, FEW_RUNS, least_runs, overlapping
@@ -283,8 +283,11 @@ class Commands:
         case, stream, number = self._case, fate.stream, fate.ends["unaccounted"] * fate.seen
         rows = np.flatnonzero(fate.open & ~fate.edge)
         counted = all(hop.out.counted and case.owner(hop.out) in case.loss_counts for hop in fate.hops)
-        came_ns = case.arriving(stream.receiver)
-        full = more_at_once(came_ns, case.profile.sbn_wake_ns, case.profile.socket_queue)
+        wake_ns, holds = case.profile.sbn_wake_ns, case.profile.socket_queue
+        came_ns, own_ns = case.arriving(stream.receiver), stream.time_ns[rows]
+        begins_ns = came_ns[:-holds][came_ns[holds:] - came_ns[:-holds] < wake_ns]
+        within = np.searchsorted(begins_ns, own_ns, "right") > np.searchsorted(begins_ns, own_ns - wake_ns)
+        full = int(within.sum()) >= number  # a burst lost none that were sent at another time
         before = stream.link.peers and (full or case.is_far(stream.receiver))
         if number and before and counted and fate.claim(rows):
             text = f"{int(fate.arrived.sum()):,} others came out, and 0x803 counts no loss of these"

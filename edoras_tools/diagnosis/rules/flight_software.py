@@ -113,8 +113,7 @@ def note_silences(case: Case) -> None:
             if item.rule in _TELLS_CAUSE and item.start_ns < next_ns and item.end_ns > start_ns - _NEAR_NS
         ]
         if causes:
-            place = min(causes)[1]
-            before = case.verdicts[place]
+            before = case.verdicts[place := min(causes)[1]]
             case.verdicts[place] = replace(before, evidence=(*before.evidence, _stopped(case, members)))
 
 
@@ -325,9 +324,8 @@ def _stopped(case: Case, members: Sequence[Silence]) -> str:
     """Return who stopped, when, and for how long."""
     first = members[0]
     names = list(dict.fromkeys(case.name(item.stream.msg_id) for item in members))
-    rate = first.rate if len(members) == 1 else None
     who = names[0] if len(names) == 1 else f"{len(names)} topics ({listed(names, _NAMED)})"
-    before = f" ({_hz(rate.hz, 2)} before)" if rate else ""
+    before = f" ({_hz(first.rate.hz, 2)} before)" if first.rate and len(members) == 1 else ""
     seconds = (first.end_ns - first.start_ns) / SECOND
     until = f" for {seconds:.1f} s" if first.until_ns else " and did not come back"
     return f"{who} stopped at {case.at(first.start_ns)}{until}{before}"
@@ -339,9 +337,8 @@ def _remedy(case: Case, outages: Sequence[Outage], silence: Silence, why: str) -
         if why.startswith(_ROBOT):
             return "see whether the robot, or its simulator, runs"
         return "look at the application's console and events; capture what goes into it, or its SBN link"
-    last = outages[-1]
-    runs = last.restarted or last.end_ns is not None
-    return START_AGAIN if runs and not silence.until_ns else revival(case, last.app)
+    runs = outages[-1].restarted or outages[-1].end_ns is not None
+    return START_AGAIN if runs and not silence.until_ns else revival(case, outages[-1].app)
 
 
 def cfs_restart(case: Case) -> Iterator[Verdict]:
