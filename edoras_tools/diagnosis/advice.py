@@ -134,8 +134,7 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
     """Return the pipe of a loss, the limit of its MsgId there, and whether the limit was measured."""
     output = loss.hop == telemetry_output.PIPE
     queue = queues.telemetry_pipe(case.profile) if output else queues.peer_pipe(case.profile)
-    command = limit_command(case, loss)
-    commanded = command.limit if command else None
+    commanded = command.limit if (command := limit_command(case, loss)) else None
     if loss.stream and loss.span:
         own, rounds = loss.span.rows, case.rounds(loss.stream, loss.span)
         near = abs(rounds.period_ns - queue.round_ns) < queue.round_ns // (10 if output else 5)
@@ -143,8 +142,10 @@ def clean_round(case: Case, loss: Loss) -> tuple[queues.Queue, int, bool]:
         lower = commanded is not None and commanded < rounds.most  # for a part of the time
         if near and not lower and rounds.share >= _FULL and full_where_lacking(*lacking):
             return replace(queue, round_ns=rounds.period_ns), rounds.most, True
-        # Rounds that are far larger refute an assumed limit.
-        if commanded is None and rounds.share >= _FULL and rounds.most > 2 * queue.limit(loss.msg_id):
+        # Rounds that are far larger refute an assumed limit; a network that gathers some has gaps within.
+        within = int(lacking[1][:-1][np.diff(lacking[0]) < queue.round_ns // 2].sum())
+        larger = rounds.share >= _FULL and rounds.most > 2 * queue.limit(loss.msg_id)
+        if commanded is None and larger and 2 * within < lacking[1].sum():
             return queue, rounds.most, True
     system = case.instances.system(loss.instance)
     if commanded is None and output and case.timeline.entry(loss.msg_id, system):
@@ -385,10 +386,9 @@ def _raised(case: Case, msg_id: int, limit: int) -> str:
 
 def _at_application(case: Case, loss: Loss) -> Advice:
     """Return the remedy where an application's pipe takes too few of a command, or CI's socket is full."""
-    over_network, socket = loss.over_network, queues.ci_socket(case.profile)
+    stream, over_network, socket = loss.stream, loss.over_network, queues.ci_socket(case.profile)
     pipe, _ = case.application_pipe(loss)
     limit, clean, why = pipe.usual_limit, pipe.rate_hz(pipe.usual_limit), capacity(case, loss)
-    stream = loss.stream
     if stream is None:
         return Advice(why, f"send at most {_safe(clean):g} Hz, or {_subscribed('a higher limit')}")
     if loss.kind != "socket" and (hz := case.lossless_hz(stream, clean)):

@@ -826,6 +826,22 @@ def test_bursts_fill_the_socket_of_sbn_and_refute_an_assumed_limit():
     assert "TO keeps 40 of this MsgId and sends every 500 ms: 80 a second get through (measured)" in text
 
 
+@pytest.mark.parametrize("every_ms", [1500, 2000])
+def test_rounds_that_a_network_hands_over_together_refute_no_assumed_limit(tmp_path, every_ms):
+    """Telemetry comes in clumps of three or four rounds, each of which lacks messages within."""
+    items, every_ns = mutations.frames(FOLDER / "started_after_its_bridge.pcap.zst"), every_ms * 10**6
+    clumps = [
+        item._replace(time_ns=(item.time_ns // every_ns + 1) * every_ns + item.time_ns % every_ns // 1000)
+        if mutations.is_to(item.data, 1235)
+        else item
+        for item in items
+    ]
+    gathered = sorted(clumps, key=lambda item: item.time_ns)
+    text = first_screen(truth.examined(mutations.write(tmp_path / "x.pcap", gathered)))
+    assert "TO keeps 4 of this MsgId" in text
+    assert "publish at most 7.9 Hz" in text
+
+
 def test_a_burst_fills_the_socket_of_sbn_only_while_it_comes(tmp_path):
     """The network loses 30 of what the peer sends; long after that 260 heartbeats come at once."""
     items = mutations.frames(FOLDER / "lossy_link_to_a_peer.pcap.zst")
