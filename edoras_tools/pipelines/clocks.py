@@ -151,7 +151,11 @@ def open_aligned(
             continue
         is_one_clock = not is_cfe_file(path) and _is_one_clock(tables[to], table, shift)
         set_back[at] = set_back[to] if is_one_clock else [shift.line, *set_back[to]]
-        sources[at] = Aligned(open_file(path), set_back[at], shift.shared)
+        # Of each datagram in both, that of the first counts, or what the network has made of it.
+        before, after = shift.changed
+        sources[at] = Aligned(open_file(path), set_back[at], np.setdiff1d(shift.shared, after))
+        if len(before):
+            sources[to] = Aligned(sources[to], [], np.sort(before))
         sources[0].statistics.shared += len(shift.shared)
         for side, (places, sure) in zip(
             (to, at), alignment.lost_between(tables[to], table, shift), strict=True

@@ -249,6 +249,8 @@ class Alignment(NamedTuple):
         by: evidence, for people.
         shared: i64, frame numbers in the second capture of datagrams that both have.
         here: i64, frame numbers in the first capture of datagrams that both have.
+        changed: i64 (2, n), frame numbers in both of those that the network changed from the first to the
+            second: that of the second arrived.
     """
 
     line: ClockLine
@@ -258,6 +260,7 @@ class Alignment(NamedTuple):
     by: str
     shared: Integers
     here: Integers
+    changed: Integers
 
     def sentence(self, other: str) -> str:
         """Return the difference as a sentence; ``other`` is the name of the first capture."""
@@ -285,6 +288,7 @@ class _Estimate(msgspec.Struct, frozen=True):
         near: likely offsets, ns.
         shared: as in ``Alignment``.
         here: as in ``Alignment``.
+        changed: as in ``Alignment``.
     """
 
     pairs: Sequence[Ordered]
@@ -294,6 +298,7 @@ class _Estimate(msgspec.Struct, frozen=True):
     near: Sequence[int] = ()
     shared: Integers = msgspec.field(default_factory=lambda: np.zeros(0, np.int64))
     here: Integers = msgspec.field(default_factory=lambda: np.zeros(0, np.int64))
+    changed: Integers = msgspec.field(default_factory=lambda: np.zeros((2, 0), np.int64))
 
     @classmethod
     def of(cls, pairs: Sequence[Ordered], by: str, loose_ns: int = 0) -> _Estimate | None:
@@ -326,7 +331,8 @@ class _Estimate(msgspec.Struct, frozen=True):
         begin = line.set_back(np.array([start_ns]))
         line = ClockLine(int(begin[0]), int(line.ahead(begin)[0]), line.drift)
         drift = self.lines.drift if self.lines.drift_known or line.drift else None
-        return Alignment(line, *self.lines.offset(line.begin_ns), drift, self.by, self.shared, self.here)
+        low, high = self.lines.offset(line.begin_ns)
+        return Alignment(line, low, high, drift, self.by, self.shared, self.here, self.changed)
 
 
 def align(first: Side, second: Side) -> Alignment | None:
@@ -432,11 +438,14 @@ def _shared(first: Side, second: Side) -> _Estimate | None:
     rest = pair_up(marks[0], a.time_ns[free[0]], marks[1], then[free[1]], most_ns)
     others = free[0][rest.into], free[1][rest.out]
     near = (rest.took_ns <= most_ns) & (a.source[others[0]] == _moved(first, second)[b.source[others[1]]])
+    others = others[0][near], others[1][near]
     numbers = [
-        np.sort(rows.number[np.append(own, other[near])])
+        np.sort(rows.number[np.append(own, other)])
         for rows, own, other in zip((a, b), pairs, others, strict=True)
     ]
-    return replace(best, shared=numbers[1], here=numbers[0])
+    later = then[others[1]] > a.time_ns[others[0]]
+    changed = np.stack((a.number[others[0][later]], b.number[others[1][later]]))
+    return replace(best, shared=numbers[1], here=numbers[0], changed=changed)
 
 
 def _ways_between(ours: Integers, theirs: Integers, took_ns: Integers) -> list[tuple[list[int], list[int]]]:
