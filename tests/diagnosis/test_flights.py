@@ -1959,3 +1959,14 @@ def test_a_datagram_whose_fragments_are_in_two_files_was_not_lost(tmp_path):
     found = examine(source, Settings([]).workbench(source.info)).diagnosis
     proven, most = found.lost + found.unaccounted, RANGES["fragments_lost_upward"]
     assert proven <= most <= proven + found.uncertain
+
+
+@pytest.mark.parametrize("place", [7, 49, 72])
+def test_what_a_sender_counted_and_ci_took_was_missed_by_the_capture_alone(tmp_path, place):
+    """CI counts one more than the capture shows: its count is not late, and no command was lost before it."""
+    items = mutations.frames(FOLDER / "telemetry_sent_as_commands.pcap.zst")
+    counted = [item for item in items if mutations.is_to(item.data, 1234) and item.data[42:44] == b"\x08\x2d"]
+    items.remove(counted[place])
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    proven = found.lost + found.unaccounted
+    assert proven <= FLIGHTS["telemetry_sent_as_commands"][0] <= proven + found.uncertain

@@ -202,10 +202,10 @@ def ingests(case: Case) -> list[Ingest]:
         # If two CIs share an address and port, nothing shows which one a datagram was for.
         if endpoint is not None and uses[endpoint] == 1 and len(own) > 1:
             counter = _Counted(case, endpoint, system, to_ci[rows.destination[to_ci] == endpoint], own)
-            # Where counts contradict their time stamps, these may all be as late.
+            # Where counts contradict both their time stamps and losses, all may be as late.
             for counter.sooner_ns in (0, case.profile.to_wake_ns, 0):
                 account = counter.account()
-                if not account.not_captured:
+                if not account.not_captured or not (account.losses or counter.sooner_ns):
                     break
             lost = account.lost_by("network")
             if lost or (account.lost and account.not_captured):
