@@ -542,12 +542,10 @@ class _Table:
             reserve: the claims share the counts, and none gets them.
             most: upper bound.
         """
-        if not self.left[second]:
-            return 0
         turn = second % max(1, len(takers))  # a remainder goes to another claim each time
         takers = [*takers[turn:], *takers[:turn]]
         before, opened = int(self.left[second]), [self._claims[at].open for at in takers]
-        for at, share in zip(takers, shares(min(before, most), opened, opened), strict=True):
+        for at, share in zip(takers, shares(min(before, most), opened), strict=True):
             if share and reserve:
                 self._claims[at].reserved += share
             elif share:
@@ -641,12 +639,13 @@ def _ways_from(
             ]
 
 
-def shares(number: int, weights: Sequence[float], most: Sequence[int]) -> list[int]:
-    """Divide a number by weights into whole parts of at most ``most`` each; what does not fit is dropped."""
-    weight, limit = np.array(weights), np.array(most)
-    out, rest = np.zeros(len(most), np.int64), number
-    while rest > 0 and len(free := np.flatnonzero((out < limit) & (weight > 0))):
-        exact = rest * weight[free] / weight[free].sum()
+def shares(number: int, most: Sequence[int]) -> list[int]:
+    """Divide a number into whole parts, in proportion to the most of each; what does not fit is dropped."""
+    if len(most) < 2 or number >= sum(most):  # mostly so: arrays are slow for these
+        return [max(0, min(number, part)) for part in most]
+    out, rest, limit = np.zeros(len(most), np.int64), number, np.array(most)
+    while rest > 0 and len(free := np.flatnonzero(out < limit)):
+        exact = rest * limit[free] / limit[free].sum()
         parts = np.minimum(exact.astype(np.int64), limit[free] - out[free])
         if not parts.any():  # the remainder: one each, to the largest first
             parts = np.argsort(np.argsort(-exact, kind="stable")) < rest

@@ -768,7 +768,7 @@ def _missed(case: Case, gaps: Mapping[Any, list[int]]) -> Iterator[tuple[Stream,
         numbers, size = gaps[stream], len(stream) + int(stream.missing.sum())
         # One missed frame is enough to lose a datagram.
         most = sum(numbers) if few else quality.may_have_missed(case.frames(stream) * size, case.confidence)
-        yield stream, claims.shares(min(sum(numbers), most), numbers, numbers)
+        yield stream, claims.shares(min(sum(numbers), most), numbers)
 
 
 def _spans(fates: Sequence[Fate]) -> Integers:

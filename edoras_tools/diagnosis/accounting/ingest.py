@@ -823,7 +823,7 @@ class BeforeCi:
         """Make the first ``number`` of messages that may be lost uncertain."""
         windows = [np.flatnonzero(own) for _, own in may]
         most = [len(inside) for inside in windows]
-        for (fate, _), inside, share in zip(may, windows, shares(number, most, most), strict=True):
+        for (fate, _), inside, share in zip(may, windows, shares(number, most), strict=True):
             fate.ends["crowded"] += fate.claim(inside[:share])
 
     def _to(self, account: Ingest) -> list[Fate]:
@@ -921,7 +921,7 @@ class BeforeCi:
         """
         windows = [np.flatnonzero(own) for _, own in may]
         most = [len(inside) for inside in windows]
-        parts = shares(number, most, most)
+        parts = shares(number, most)
         for (fate, _), inside, share in zip(may, windows, parts, strict=True):
             if not share:
                 continue

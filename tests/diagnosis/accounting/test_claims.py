@@ -185,6 +185,6 @@ def test_what_was_lost_behind_the_last_sample_is_in_no_count():
 
 @given(st.integers(0, 60), st.integers(1, 9))
 def test_equal_shares_differ_by_one_at_most(number, parts):
-    found = shares(number, [7] * parts, [7] * parts)
+    found = shares(number, [7] * parts)
     assert sum(found) == min(number, 7 * parts)
     assert max(found) - min(found) <= 1
