@@ -1970,3 +1970,21 @@ def test_what_a_sender_counted_and_ci_took_was_missed_by_the_capture_alone(tmp_p
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
     proven = found.lost + found.unaccounted
     assert proven <= FLIGHTS["telemetry_sent_as_commands"][0] <= proven + found.uncertain
+
+
+@pytest.mark.parametrize(
+    ("name", "lost"), [("lossy_link_to_a_peer", 30), ("losing_network_of_peers_ground", 19)]
+)
+def test_a_burst_fills_no_socket_for_what_was_sent_at_another_time(tmp_path, name, lost):
+    """300 heartbeats at once in the middle: the network lost messages all the time."""
+    items = mutations.frames(FOLDER / f"{name}.pcap.zst")
+    sent = [item for item in items if mutations.is_to(item.data, 2234, 2235) and item.data[44] == MsgType.APP]
+    beat = bytearray(sent[len(sent) // 2].data[:53])
+    beat[16:18], beat[38:40], beat[42:45] = (39).to_bytes(2, "big"), (19).to_bytes(2, "big"), b"\0\0\xa0"
+    for number in range(300):
+        beat[18:20] = (40_000 + number).to_bytes(2, "big")
+        when = sent[len(sent) // 2].time_ns + 1000 * number + 500
+        items.append(mutations.Frame(when, bytes(mutations.summed(beat)), len(beat)))
+    items.sort(key=lambda item: item.time_ns)
+    causes = by_cause(truth.examined(mutations.write(tmp_path / "flight.pcap", items)))
+    assert (causes["network"], causes["sbn_socket"]) == (lost, 0)

@@ -283,11 +283,9 @@ class Commands:
         case, stream, number = self._case, fate.stream, fate.ends["unaccounted"] * fate.seen
         rows = np.flatnonzero(fate.open & ~fate.edge)
         counted = all(hop.out.counted and case.owner(hop.out) in case.loss_counts for hop in fate.hops)
-        wake_ns, holds = case.profile.sbn_wake_ns, case.profile.socket_queue
-        came_ns, own_ns = case.arriving(stream.receiver), stream.time_ns[rows]
-        begins_ns = came_ns[:-holds][came_ns[holds:] - came_ns[:-holds] < wake_ns]
-        within = np.searchsorted(begins_ns, own_ns, "right") > np.searchsorted(begins_ns, own_ns - wake_ns)
-        full = int(within.sum()) >= number  # a burst lost none that were sent at another time
+        came_ns, sent_ns = case.arriving(stream.receiver), stream.time_ns[rows]
+        numbers = [np.searchsorted(came_ns, sent_ns - ago) for ago in (0, case.profile.sbn_wake_ns)]
+        full = np.count_nonzero(np.subtract(*numbers) >= case.profile.socket_queue) >= number
         before = stream.link.peers and (full or case.is_far(stream.receiver))
         if number and before and counted and fate.claim(rows):
             text = f"{int(fate.arrived.sum()):,} others came out, and 0x803 counts no loss of these"
