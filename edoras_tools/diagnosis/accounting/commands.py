@@ -161,8 +161,9 @@ class Commands:
         self._number(fates)
         self._relayed(fates)
         for fate in fates:
-            self._before_sbn(fate)
-            if fate.stream.known_id == telemetry_output.COMMAND_MSG_ID and fate.stream.link.only_to_cfs:
+            if fate.stream.link.peers:
+                self._before_sbn(fate)
+            elif fate.stream.known_id == telemetry_output.COMMAND_MSG_ID:
                 self._commanded(fate)
 
     def _damaged(self, fate: Fate) -> None:
@@ -286,8 +287,7 @@ class Commands:
         came_ns, sent_ns = case.arriving(stream.receiver), stream.time_ns[rows]
         numbers = [np.searchsorted(came_ns, sent_ns - ago) for ago in (0, case.profile.sbn_wake_ns)]
         full = np.count_nonzero(np.subtract(*numbers) >= case.profile.socket_queue) >= number
-        before = stream.link.peers and (full or case.is_far(stream.receiver))
-        if number and before and counted and fate.claim(rows):
+        if number and counted and (full or case.is_far(stream.receiver)) and fate.claim(rows):
             text = f"{int(fate.arrived.sum()):,} others came out, and 0x803 counts no loss of these"
             loss = fate.loss("sbn_socket" if full else "network", rows, [text], hop=SBN_SOCKET)
             loss.lost, loss.confidence, fate.ends["unaccounted"] = number, "medium", 0
