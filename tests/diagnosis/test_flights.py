@@ -369,6 +369,25 @@ def test_a_capture_that_misses_frames_misses_more_of_what_comes_in_many(tmp_path
     assert "fragments" not in [kind for row in found.balance for kind in row.lost]
 
 
+@pytest.mark.parametrize(
+    ("name", "share", "seed", "most"),
+    [
+        ("peer_wants_nothing", 0.01, "flights/peer_wants_nothingr12", 0),  # a command of those taken lacks
+        (
+            "bursts_to_a_peer",
+            0.01,
+            "flights/bursts_to_a_peerr14",
+            257,
+        ),  # of 254; 8 gaps that nothing explains
+        ("crashed_twice", 0.05, "flights/crashed_twicer53", 105),  # counts of what was sent into a stop
+    ],
+)
+def test_frames_that_the_capture_missed_at_random_add_no_loss(tmp_path, name, share, seed, most):
+    items = mutations.removed(share)(mutations.frames(FOLDER / f"{name}.pcap.zst"), random.Random(seed))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert found.lost + found.unaccounted <= most
+
+
 def test_frames_that_the_capture_lost_in_bursts_are_no_loss():
     found = examined("frames_in_bursts")
     assert found.uncertain > 0

@@ -740,10 +740,12 @@ def hold_back(case: Case, every: Sequence[Claim]) -> None:
     messages sent while nobody received them are served before all others, because they are lost in any case.
     """
     groups = by_key((item for item in every if item.rank == claims.Rank.MISSING), lambda item: item.flow)
-    for claim in every if case.quality.lacks_answered else ():
+    gaps = {flow: [item.number for item in own] for flow, own in groups.items()}
+    missed = [*_missed(case, gaps)]
+    for claim in every if missed or case.quality.lacks_answered else ():
         if claim.rank in {claims.Rank.CLOSED, claims.Rank.INTO_STOP}:
             claim.rank = claims.Rank.NOT_TAKEN
-    for flow, shares in _missed(case, {flow: [item.number for item in own] for flow, own in groups.items()}):
+    for flow, shares in missed:
         for claim, share in zip(groups[flow], shares, strict=True):
             claim.number, claim.perhaps_missed = claim.number - share, claim.perhaps_missed + share
 
@@ -809,7 +811,12 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
         if loss.kind in COUNTERS and loss.stream is not None:
             lost[loss.stream] += loss.lost
     spare = sum(most_missed(case, lost).values())
-    for stream, shares in _missed(case, {item: [many for _, many in own] for item, own in gaps.items()}):
+    # How much full pipes lost says nothing of the few gaps that nothing explains.
+    every = {item: [many for _, many in own] for item, own in gaps.items()}
+    unexplained = {
+        item: [many * (loss.kind in _UNEXPLAINED) for loss, many in own] for item, own in gaps.items()
+    }
+    for stream, shares in dict([*_missed(case, unexplained), *_missed(case, every)]).items():
         for (loss, number), share in zip(gaps[stream], shares, strict=True):
             _take_back(telemetry, loss, min(number, share + spare))
             spare -= min(spare, number - share)

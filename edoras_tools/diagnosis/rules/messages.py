@@ -196,7 +196,7 @@ def _unwanted(
     if (
         counts[-1] <= 0
         or _each_time(seen_ns, counts)
-        or any(_may_be(at, seen_ns, counts, _COUNTED_NS, 0) for at in published)
+        or any(_may_be(at, seen_ns, counts, _COUNTED_NS, 0, 0) for at in published)
     ):
         return  # what cFS does as often it may do for nobody: a scheduler wakes those that are not there
     inside = arriving[(times[arriving] > seen_ns[0] - _COUNTED_NS) & (times[arriving] < seen_ns[-1])]
@@ -204,20 +204,24 @@ def _unwanted(
     lost, wake_ns = sum(item.lost for item in case.ingests), case.profile.ci_wake_ns
     crowded = more_at_once(times[arriving], wake_ns, case.profile.ci_datagrams_per_wake)
     lag_ns = DRAINS_NS if crowded else _COUNTED_NS  # what waits in CI's socket is counted late
+    missed = case.quality.may_have_missed(len(inside)) if case.quality.missing else 0
 
-    def may_be(sent: Places, more: int = 0) -> bool:
-        return _may_be(times[sent], seen_ns, counts, lag_ns, lost + more)
+    def may_be(sent: Places, more: int = 0, unseen: int = 0) -> bool:
+        return _may_be(times[sent], seen_ns, counts, lag_ns, lost + more, unseen)
 
     newest = {item: at[np.diff(times[at] // wake_ns, append=-1) != 0] for item, at in own.items()}
     # An application may take all of these, and what it makes of the newest of each round be for nobody.
     seldom = ((item, at) for item, at in _sets(newest) if 10 * len(at) < 9 * sum(len(own[x]) for x in item))
-    of_rounds, fits = {item for item, at in seldom if may_be(at, _FEW)}, dict[tuple[int, ...], Places]()
+    of_rounds, fits = (
+        {item for item, at in seldom if may_be(at, _FEW, missed)},
+        dict[tuple[int, ...], Places](),
+    )
     for item, sent in _sets(own):
         if fits and len(item) > len(next(iter(fits))):
             break  # the fewest that fit
-        if may_be(sent):
+        if may_be(sent, unseen=missed):
             fits[item] = sent
-    for sent in fits.values() if len({*of_rounds, *fits}) == 1 else ():
+    for sent in filter(may_be, fits.values()) if len({*of_rounds, *fits}) == 1 else ():
         # What the last sample does not have may be on its way, where CI lost nothing.
         until = len(sent) if lost else counts[-1] + int(np.searchsorted(times[sent], seen_ns[0]))
         part = counts[-1] / len(sent) if lost else 1
@@ -265,20 +269,23 @@ def _perhaps_unwanted(case: Case) -> Places:
     return came[~refused & ~np.isin(rows.source[came], senders)]
 
 
-def _may_be(sent_ns: Integers, seen_ns: Integers, counts: Integers, lag_ns: int, lost: int) -> bool:
+def _may_be(
+    sent_ns: Integers, seen_ns: Integers, counts: Integers, lag_ns: int, lost: int, unseen: int
+) -> bool:
     """Tell whether a counter has all that was sent until so long before each of its samples, and no more.
 
     Args:
         lost: so many at most were lost before CI.
+        unseen: so many more at most were sent, and the capture missed them.
     """
     if not len(sent_ns) or sent_ns[-1] < seen_ns[0] - lag_ns or seen_ns[-1] < sent_ns[0]:
         return False
-    if len(seen_ns) > 2 and not _may_be(sent_ns, seen_ns[[0, -1]], counts[[0, -1]], lag_ns, lost):
+    if len(seen_ns) > 2 and not _may_be(sent_ns, seen_ns[[0, -1]], counts[[0, -1]], lag_ns, lost, unseen):
         return False  # mostly the ends tell
     least, most = (np.searchsorted(sent_ns, seen_ns - before_ns) for before_ns in (lag_ns, 0))
     first = int(least[0])  # what was sent before it was counted in it, or after
     least = least - most[0]
-    return bool(least[-1] > 0 and (counts >= least - lost).all() and (counts <= most - first).all())
+    return bool(least[-1] > 0 and (counts >= least - lost).all() and (counts <= most - first + unseen).all())
 
 
 def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness: str, number: int) -> Verdict:
