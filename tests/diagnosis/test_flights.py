@@ -770,6 +770,22 @@ def test_counters_under_a_msg_id_of_a_mission_overran_no_struct():
     assert by_cause(found) == FLIGHTS["peer_port_alone"][1]
 
 
+@pytest.mark.parametrize("name", ["bursts_to_a_peer", "housekeeping_to_a_peer", "overload_of_a_dead_bridge"])
+def test_packets_of_another_application_check_no_command_under_any_mission(name):
+    """A generator publishes the MsgId that commands come out on; the mission's type fits some of it."""
+    files = [ROOT / f"samples/missions/two_arms_{side}.yaml" for side in ("ground", "flight")]
+    found = truth.examined(FOLDER / f"{name}.pcap.zst", (), tuple(files))
+    assert by_cause(found) == by_cause(examined(name))
+
+
+def test_messages_that_came_out_are_none_that_a_peer_refuses(tmp_path):
+    """Behind the older headers the same bridge sends whole ones, while cFS still reports the older."""
+    items = mutations.frames(FOLDER / "peer_of_an_older_sbn.pcap.zst")
+    items = mutations.part(0.33, 0.68)(items, random.Random(1))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert not [item for item in found.verdicts if item.rule == "unknown_peer"]
+
+
 def test_a_stream_that_goes_on_from_another_port_of_its_peer_is_not_silent():
     found = examined("bridge_at_another_port")
     assert by_cause(found) == {"port_closed": 74, "sbn_peer_restart": 8}

@@ -555,7 +555,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         messages = members[rows.msg_id[members] != NO_MSG_ID]
         came, followed = np.isin(messages, came_out), np.isin(rows.msg_id[messages], msg_ids)
         usual = case.network.identity_of.get(int(rows.source[members[0]]))
-        if not lines and (2 * came.sum() > len(messages) or usual == str(peer)):
+        if 2 * came.sum() > len(messages) or (not lines and usual == str(peer)):
             continue  # most there are its own: one that spoke before it is the other
         refused = _refused(
             case,
