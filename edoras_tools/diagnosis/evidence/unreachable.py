@@ -101,7 +101,8 @@ def count_unreached(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tupl
     """
     when = np.array([flow.first_ns, *sorted(errors_ns), flow.last_ns])
     steps, sent = np.diff(when), np.diff(np.searchsorted(sent_ns, when[1:-1], "right"))
-    number = max(len(errors_ns), 1 + int(np.where(steps[1:-1] <= _PATIENCE_NS, sent, 1).sum()))
+    between = 1 + int(np.where(steps[1:-1] <= _PATIENCE_NS, sent, 1).sum())
+    number = max(len(errors_ns), min(between, flow.datagrams))
     is_shut = 2 * int(steps[1:-1].sum()) > int(steps.sum()) or 2 * len(errors_ns) > flow.datagrams
     return number, max(0, flow.datagrams - number) * is_shut
 
