@@ -484,6 +484,12 @@ class Case:
             np.add.at(numbers, np.maximum(after, 0), 1)
         return numbers
 
+    @cached_property
+    def to_ci(self) -> Places:
+        """Rows of the datagrams that a CI may have counted: it does not read empty ones."""
+        came = self.rows.on(lambda link: link.only_to_cfs) & ~self.rows.undelivered & (self.rows.length > 0)
+        return np.flatnonzero(came)
+
     def ingests_at(self, endpoint: int) -> list[ingest.Ingest]:
         """Return the accounts of the CI at an endpoint; none if nothing counts there."""
         return [item for item in self.ingests if item.endpoint == endpoint]

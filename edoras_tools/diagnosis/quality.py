@@ -301,8 +301,7 @@ def _inputs(case: Case) -> Iterator[Evidence]:
 
 def _ci_counts(case: Case) -> Iterator[Evidence]:
     """Yield for each CI the datagrams that it counted between two times with an empty socket (rule 3)."""
-    rows, instances, samples = case.rows, case.instances, case.payloads.ingest
-    to_ci = np.flatnonzero(rows.on(lambda link: link.only_to_cfs))
+    rows, to_ci, instances, samples = case.rows, case.to_ci, case.instances, case.payloads.ingest
     whose = instances.of_row[samples["row"]]
     own = np.flatnonzero(whose != NOBODY)
     systems = instances.system_of_row[samples["row"][own]]

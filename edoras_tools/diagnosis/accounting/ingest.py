@@ -189,10 +189,7 @@ class Ingest(msgspec.Struct):
 
 def ingests(case: Case) -> list[Ingest]:
     """Return an account of every CI that has counts: its own, or those of the recording host's kernel."""
-    rows = case.rows
-    came = rows.on(lambda link: link.only_to_cfs) & ~rows.undelivered & (rows.length > 0)
-    to_ci = np.flatnonzero(came)
-    samples = _samples(case)
+    rows, to_ci, samples = case.rows, case.to_ci, _samples(case)
     every = distinct(rows.destination[to_ci]).tolist()
     places = {system: _endpoint(case, every, own) for system, own in samples.items()}
     uses = Counter(places.values())
