@@ -287,7 +287,7 @@ def _inputs(case: Case) -> Iterator[Evidence]:
         when = rows.time_ns[leaving]
         early = when - case.start_ns <= _START_NS + 2 * longest_ns
         usable = sole & ~early & ~overlapping(when - longest_ns - _START_NS, when, case.all_holes)
-        # Another application may publish this MsgId, too: what is of no length that a command makes is its own.
+        # Another application may publish this MsgId too: lengths that no command makes are of its packets.
         usable &= np.isin(rows.length[leaving], rows.length[leaving[captured]])
         if usable.any() and captured[usable].mean() >= _ALIKE:
             into = members[0].into

@@ -150,14 +150,18 @@ def _in_order(samples: Samples, some: Places, instances: Instances, rows: Rows) 
     order = np.argsort(made_ns, kind="stable")
     # Samples of equal times are copies: one is kept.
     order = order[np.diff(made_ns[order], prepend=made_ns[order[:1]] - 1) > 0]
-    # A sample is from another cFS if its sequence count is not between those of its neighbours, or if its
-    # counters exceed those of the next sample although the one before does not.
+    # A sample is from another cFS if its counters exceed those of the next although the one before does not;
+    # up to two are if their sequence counts are not between those around them.
     count = rows.sequence_count[samples["row"][some[order]]].astype(np.int64)
-    mine, next_ = (count[1:-1] - count[:-2]) % MODULUS, (count[2:] - count[:-2]) % MODULUS
     values = np.array([samples[name][some[order]] for name in _WIDTHS], np.int64)
     before, own, behind = values[:2, :-2], values[:2, 1:-1], values[:2, 2:]
-    astray = (next_ < MODULUS // 2) & (mine > next_) | ((before <= behind) & (behind < own)).any(axis=0)
-    fits = ~np.concatenate(([False], astray, [False]))[: len(order)]
+    fits = np.ones(len(order), bool)
+    fits[1:-1] = ~((before <= behind) & (behind < own)).any(axis=0)
+    for number, place in ((1, 1), (2, 1), (2, 2)):
+        end = max(0, len(order) - number - 1)
+        inside = slice(place, place + end)
+        mine, next_ = ((count[part] - count[:end]) % MODULUS for part in (inside, slice(number + 1, None)))
+        fits[inside] &= (next_ >= MODULUS // 2) | (mine <= next_)
     return samples["row"][some[order[fits]]], values[:, fits]
 
 
