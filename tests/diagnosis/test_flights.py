@@ -721,6 +721,14 @@ def test_what_cut_frames_do_not_show_to_come_out_is_not_told_to_be_refused(tmp_p
     assert found.lost + found.unaccounted == lost
 
 
+def test_with_wrong_times_a_count_alone_names_no_msg_id_without_a_subscriber(tmp_path):
+    """The rounds of an application do not show: what it makes of them may be what nobody takes."""
+    items = mutations.frames(FOLDER / "peer_wants_nothing.pcap.zst")
+    items = mutations.jittered(200_000_000)(items, random.Random("flights/peer_wants_nothingjit2007001"))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert found.lost + found.unaccounted == 0
+
+
 @pytest.mark.parametrize("first", [0.1, 0.25, 0.4])
 def test_what_an_application_makes_of_some_commands_for_nobody_is_no_loss_of_them(tmp_path, first):
     """It takes all, at 4 and 2 Hz, and nobody wants what it makes of the newest of each round."""

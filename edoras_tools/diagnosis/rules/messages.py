@@ -157,9 +157,10 @@ def no_subscriber(case: Case) -> Iterator[Verdict]:
     Say which, where an event or the only command before a count tells.
     """
     rows, counted = case.rows, {}
-    # Where the capture missed some that came to a CI, these may be what nobody took; and what one cFS sends
-    # another comes in unseen.
-    if not case.peers_unseen and not any(item.not_captured for item in case.ingests):
+    # Where the capture missed some that came to a CI, these may be what nobody took; what one cFS sends
+    # another comes in unseen; and with wrong times the rounds of applications do not show.
+    missed = case.unsteady_ns or any(item.not_captured for item in case.ingests)
+    if not (case.peers_unseen or missed):
         arriving = _perhaps_unwanted(case)
         published = [_published(item) - SECOND for item in case.streams if item.link.only_from_cfs]
         for instance, track in case.tracks.items():
