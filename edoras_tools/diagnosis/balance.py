@@ -29,7 +29,6 @@ from edoras_tools.diagnosis.ledger import (
     CI_HOP,
     ENDINGS,
     NOT_COUNTED,
-    PEER,
     Row,
     summed,
 )
@@ -41,43 +40,29 @@ from edoras_tools.wire.arrays import by_key
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-BEHIND_LINKS: Final = (PEER, UDP_PORT)
-"""Start of the names of hops that follow the last captured datagram of a message."""
 
-
-class Headline(msgspec.Struct, frozen=True):
-    """The sums of one route, for one line.
+class Headline(NamedTuple):
+    """One route, for one line.
 
     Attributes:
         topic: topic of the route, else the MsgId.
-        sent: number of messages sent or published.
-        arrived: number of messages that left the last hop; None if the capture does not show that.
-        superseded: number of messages that a newer one replaced.
-        lost: number of messages lost with a visible cause.
-        waiting: number of messages that may still be under way.
-        not_captured: number of messages that the capture cannot follow.
-        unaccounted: number of messages missing without a visible cause.
-        uncertain: number of messages that are lost, or only not captured.
-        shared: upper bound of the route's part in losses that several routes share.
+        rows: its rows of the balance, in the order of the hops.
         instance: link and cFS that distinguish several lines of one topic; else None.
     """
 
     topic: str
-    sent: int
-    arrived: int | None
-    superseded: int
-    lost: int
-    waiting: int
-    not_captured: int
-    unaccounted: int
-    uncertain: int = 0
-    shared: int = 0
+    rows: tuple[Row, ...]
     instance: str | None = None
+
+    @property
+    def sent(self) -> int:
+        """Number of messages sent or published."""
+        return sent(self.rows)
 
     @property
     def missing(self) -> int:
         """Number of messages proven lost, with or without a cause."""
-        return self.lost + self.unaccounted
+        return sum(row.proven for row in self.rows)
 
     @property
     def name(self) -> str:
@@ -166,36 +151,19 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
     groups = by_key(own, lambda row: (row.route, row.link, row.msg_id, row.instance))
     any_own = any(key[0] != NO_ROUTE for key in groups)
     result = []
-    for (route, link, _, instance), members in groups.items():
+    for (route, link, msg_id, instance), members in groups.items():
         missing = any(row.proven or row.superseded for row in members)
         has_row = route != NO_ROUTE or (not members[0].name and (missing or not any_own))
         if has_row and members[0].came:
-            result.append((_headline(members, topics), link, instance))
+            result.append((Headline(topics.get(route, f"0x{msg_id:04x}"), tuple(members)), link, instance))
     of = Counter(item.topic for item, *_ in result)
     on = Counter((item.topic, link) for item, link, _ in result)
     lines = []
     for item, link, instance in result:
         alike = on[item.topic, link]
         place = [link.upper()] * (alike < of[item.topic]) + [instance or "cFS"] * (alike > 1)
-        lines.append(replace(item, instance=", ".join(place) or None))
-    return sorted(lines, key=lambda item: (-item.lost, -item.unaccounted, -item.superseded))
-
-
-def _headline(members: Sequence[Row], topics: Mapping[int, str]) -> Headline:
-    first, last = members[0], next(row for row in reversed(members) if not row.hop.startswith(BEHIND_LINKS))
-    unheard = sum(row.came - row.out for row in members if row.hop.startswith(BEHIND_LINKS))
-    msg_id = f"0x{first.msg_id:04x}"
-    return Headline(
-        topic=topics.get(first.route, msg_id),
-        sent=sent(members),
-        arrived=None
-        if last.hop in {PROXY_HOP, CI_HOP, BUS}
-        else sum(row.out for row in members if row.hop == last.hop)
-        - sum(row.duplicated for row in members)
-        - unheard,
-        lost=sum(row.all_lost for row in members),
-        **{name: sum(getattr(row, name) for row in members) for name in ENDINGS[1:]},
-    )
+        lines.append(item._replace(instance=", ".join(place) or None))
+    return sorted(lines, key=lambda item: -item.missing)
 
 
 PUBLISHER: Final = "publisher to ground bridge"

@@ -16,7 +16,7 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import ROBOT_PORT
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.doctor import missing_table
-from tests.support.balance import wrong_rows
+from tests.support.balance import arrived, ended, wrong_rows
 
 FOLDER = ROOT / "tests/captures"
 OPTIONS = {"n10_uplink_loss": ("--port", "ci:5234")}
@@ -115,8 +115,8 @@ def test_what_was_lost_and_why_is_what_was_counted(name, diagnosis):
 @pytest.mark.parametrize("name", ROBOT_GOT)
 def test_what_arrived_at_the_robot_is_what_the_robot_got(name, diagnosis):
     (line,) = [item for item in diagnosis(name).headlines if item.topic == "0x1827"]
-    assert (line.arrived, line.sent) == ROBOT_GOT[name]
-    assert line.sent == line.arrived + line.lost
+    assert (arrived(line), line.sent) == ROBOT_GOT[name]
+    assert line.sent == arrived(line) + ended(line)["lost"]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -15,6 +15,7 @@ from edoras_tools.decode import Options
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.workbench import Settings
+from tests.support.balance import arrived, ended
 
 FOLDER = ROOT / "tests/captures/cfs7"
 
@@ -158,7 +159,7 @@ def test_two_cfs_that_started_together_on_one_host_are_two_and_lost_what_the_cou
     assert sum(item.lost for item in over_limits if item.instance == 1) == 161 + 888
     (restart,) = found(diagnosis, "cfs_restart")
     assert restart.reason.startswith("cFS 66:2 restarted between 32.2 s and 45.6 s")
-    assert all(line.arrived is None or line.arrived <= line.sent for line in diagnosis.headlines)
+    assert all(arrived(line) is None or arrived(line) <= line.sent for line in diagnosis.headlines)
 
 
 def test_a_topic_that_goes_on_over_a_new_tcp_connection_is_not_silent_to_the_end():
@@ -308,7 +309,7 @@ def test_a_topic_whose_commands_end_at_ci_was_not_overwritten():
 
 def test_no_more_are_lost_behind_the_last_than_went_in_behind_it():
     diagnosis = examined("two_robots")
-    lost = {(line.topic, line.sent): line.lost for line in diagnosis.headlines}
+    lost = {(line.topic, line.sent): ended(line)["lost"] for line in diagnosis.headlines}
     # One count of 0x1828 may as well be of 0x182a, whose way out lacks as many.
     assert (lost["0x0829", 300], lost["0x1828", 340] + lost["0x182a", 300]) == (115, 95)
     assert lost["0x182a", 300] <= 1

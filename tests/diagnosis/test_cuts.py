@@ -16,7 +16,7 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import ROBOT_PORT
 from edoras_tools.links.bare import CI, ROBOT_COMMAND
 from edoras_tools.pipelines.workbench import Settings
-from tests.support.balance import wrong_rows
+from tests.support.balance import arrived, ended, wrong_rows
 
 PLACES = 40
 CI_PORT, TWIST = 1234, 0x1827
@@ -73,9 +73,7 @@ def adds_up(found):
     """Check the sums of a diagnosis: of every row, every headline, and every hop of a command's chain."""
     assert wrong_rows(found.balance) == []
     for line in found.headlines:
-        rest = line.superseded + line.lost + line.waiting + line.not_captured + line.unaccounted
-        rest += line.uncertain + line.shared
-        assert line.arrived is None or line.sent == line.arrived + rest, line
+        assert arrived(line) is None or line.sent == arrived(line) + ended(line).total(), line
     for chain in found.chains:
         counted = [hop for hop in chain.hops if hop.observed]
         for hop in counted:
@@ -194,9 +192,11 @@ def test_what_the_first_counts_do_not_tell_may_be_lost(tenths_of_a_second, batch
     found = examined(whole, start_ns, end_ns, ports=((CI, 5234),))
     (line,) = [item for item in found.headlines if item.topic == f"0x{TWIST:04x}"]
     true = int((sent[RELAY_DROPPED] >= start_ns).sum())
-    assert line.lost <= true <= line.lost + line.waiting + line.not_captured + line.uncertain
+    ends = ended(line)
+    assert ends["lost"] <= true
+    assert true <= ends["lost"] + ends["waiting"] + ends["not_captured"] + ends["uncertain"]
     if start_ns < sent[0]:
-        assert (line.lost, line.not_captured) == (true, 0)
+        assert (ends["lost"], ends["not_captured"]) == (true, 0)
 
 
 BEGINS_IN_A_BACKLOG = (201.7, 204.0, 206.9, 208.9)
@@ -221,15 +221,15 @@ def test_what_waited_when_the_capture_began_is_no_loss_of_what_it_shows(batches,
     sent_ns = in_all.case.rows.time_ns[fate.stream.rows]
     read = int((fate.arrived & (sent_ns >= start_ns)).sum())
     (line,) = [item for item in found.headlines if item.topic == f"0x{TWIST:04x}"]
-    assert line.arrived in ({read} if robot else {None})
+    assert arrived(line) in ({read} if robot else {None})
     # More than what the pipe lost of these cannot be said to be lost there; the socket's is a lower bound.
     told = lost_by(found, TWIST)
     pipe = lost_by(in_all, TWIST)["limit"]
     later = sum(loss.lost for loss in in_all.case.losses if loss.kind == "limit" and loss.end_ns >= start_ns)
     assert told["limit"] <= min(pipe, later, line.sent - read - told["socket"])
     assert set(told) <= {"limit", "socket"}
-    rest = line.lost + line.unaccounted + line.uncertain
-    assert line.sent == (line.arrived or 0) + rest or not robot
+    rest = line.missing + ended(line)["uncertain"]
+    assert line.sent == (arrived(line) or 0) + rest or not robot
     # The counter's growth is told in full all the same.
     assert found.lost == told.total() + lost_by(found, None)["unknown"]
 
@@ -243,6 +243,7 @@ def test_an_application_that_is_only_started_in_the_capture_did_not_run_before(b
     (line,) = [item for item in found.headlines if item.topic == f"0x{TWIST:04x}"]
     sent = [item.time_ns for batch in whole for item in batch if item.payload[:2] == b"\x18\x27"]
     before = sum(started.time_ns - 5 * 10**9 <= when <= started.time_ns for when in sent)
-    assert line.lost == pytest.approx(before, abs=2)
-    assert line.arrived is None
-    assert line.sent == pytest.approx(line.lost + line.uncertain, abs=3)
+    ends = ended(line)
+    assert ends["lost"] == pytest.approx(before, abs=2)
+    assert arrived(line) is None
+    assert line.sent == pytest.approx(ends["lost"] + ends["uncertain"], abs=3)

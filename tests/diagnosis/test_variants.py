@@ -21,7 +21,7 @@ from edoras_tools.links import table
 from edoras_tools.pipelines.doctor.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.doctor import limits
-from tests.support.balance import wrong_rows
+from tests.support.balance import arrived, ended, wrong_rows
 
 TRUTH = {
     "a_rover": 92,
@@ -605,8 +605,9 @@ def test_what_reached_the_robot_is_counted_where_its_values_are_cut(tmp_path, na
     found = diagnosed(write(tmp_path / "x.pcap", captured(name), snap=snap), name)
     assert wrong_rows(found.balance) == []
     (line,) = [item for item in found.headlines if item.sent == ROBOT_GOT[name][1]]
-    assert (line.arrived, line.sent) == ROBOT_GOT[name]
-    assert line.sent == line.arrived + line.lost + line.unaccounted + line.waiting + line.uncertain
+    assert (arrived(line), line.sent) == ROBOT_GOT[name]
+    ends = ended(line)
+    assert line.sent == arrived(line) + line.missing + ends["waiting"] + ends["uncertain"]
 
 
 def test_there_are_forty_at_the_least():

@@ -10,7 +10,7 @@ from places import ROOT
 from edoras_tools.addons.lab.emulator import WireDatagram
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.model import InterfaceOutage
-from tests.support.balance import wrong_rows
+from tests.support.balance import arrived, ended, wrong_rows
 
 SECOND = 10**9
 TO_PORT, ROBOT_PORT, TWIST = 1235, 8585, 0x1827
@@ -70,8 +70,9 @@ def test_commands_before_and_after_it_are_told_as_ever(lab, start_s, end_s):
     assert lost_by(found)["unknown"] <= len(never) - len(far)
     assert set(lost_by(found)) <= {"limit", "unknown"}
     (line,) = [item for item in found.headlines if item.topic == "0x1827"]
-    rest = line.lost + line.not_captured + line.waiting + line.superseded + line.unaccounted
-    assert line.sent == line.arrived + rest
+    ends = ended(line)
+    rest = ends.total() - ends["uncertain"] - ends["shared"]
+    assert line.sent == arrived(line) + rest
 
 
 @pytest.mark.each(2)

@@ -6,7 +6,7 @@ import pytest
 
 from edoras_tools.model import Peer
 from edoras_tools.wire import sbn
-from tests.support.balance import wrong_rows
+from tests.support.balance import arrived, ended, wrong_rows
 
 DEAD_S, GIVEN_UP_S = 15, 11
 BRIDGE, CFS = 2236, 2234
@@ -47,13 +47,14 @@ def test_none_of_it_is_said_to_have_arrived(lab, seconds, known):
     assert proven + early == (unheard if known else 0)
     assert early <= 2  # what came before its next datagram was due
     assert sum(row.unaccounted for row in peer) == (0 if known else unheard)
-    lines = [item for item in found.headlines if item.topic.endswith("cmd_vel") and item.arrived is not None]
+    lines = [item for item in found.headlines if item.topic.endswith("cmd_vel") and arrived(item) is not None]
     onward = [item for item in lines if not item.topic.endswith("ground/cmd_vel")]
     assert len(onward) == 2
     for line in onward:
-        left = line.unaccounted + line.waiting + line.not_captured + line.uncertain
-        assert line.sent == line.arrived + line.lost + left
-    assert sum(line.lost + line.unaccounted for line in onward) == unheard - early
+        ends = ended(line)
+        left = ends["waiting"] + ends["not_captured"] + ends["uncertain"]
+        assert line.sent == arrived(line) + line.missing + left
+    assert sum(line.missing for line in onward) == unheard - early
     (verdict,) = [item for item in found.verdicts if item.rule == "sbn_timeout"]
     assert (verdict.lost, verdict.of) == (proven if known else None, unheard)
 

@@ -16,7 +16,7 @@ from edoras_tools.links import table
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.sessions.faults.machine import FaultPlan
 from edoras_tools.sessions.faults.rules import parse_rule
-from tests.support.balance import wrong_rows
+from tests.support.balance import arrived, ended, wrong_rows
 
 CI, TO = 1234, 1235
 TWIST = 0x1827
@@ -115,8 +115,9 @@ def test_what_it_dropped_on_the_way_to_ci_was_sent_and_is_lost_there(tmp_path, s
     (row,) = [row for row in found.balance if row.hop == "proxy"]
     assert (row.came, row.out, row.all_lost) == (600, 600 - machine.struck[0], machine.struck[0])
     (line,) = [item for item in found.headlines if item.topic == "0x1827"]
-    rest = line.lost + line.waiting + line.not_captured + line.superseded + line.unaccounted
-    assert line.sent == 600 == line.arrived + rest
+    ends = ended(line)
+    rest = ends.total() - ends["uncertain"] - ends["shared"]
+    assert line.sent == 600 == arrived(line) + rest
 
 
 def test_doubles_and_what_it_did_else_are_said_and_not_lost(tmp_path):
