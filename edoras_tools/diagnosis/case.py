@@ -38,7 +38,7 @@ from edoras_tools.diagnosis.evidence.clocks.steady import without_steps
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.loss_reports import reported_losses, tracks
 from edoras_tools.diagnosis.evidence.peers import Network
-from edoras_tools.diagnosis.evidence.preparation import prepare
+from edoras_tools.diagnosis.evidence.preparation import Prepared
 from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied, RouteWay
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows, followed
 from edoras_tools.diagnosis.evidence.timeline.changes import SoftwareChanges, capture_changes, network_changes
@@ -149,7 +149,7 @@ class Case:
     """One capture with all that follows from it.
 
     Attributes:
-        prepared: result of ``prepare``: the rows, and counts of the datagrams that it left out.
+        prepared: the prepared rows: the rows, and counts of the datagrams that it left out.
         rows: table with one row for each datagram.
         jumps: steps of clocks that were set during the capture; the times of the rows have none of them.
         instances: boots of cFS that the packets come from.
@@ -192,7 +192,7 @@ class Case:
         proxied: Mapping[RouteWay, Proxied] | None = None,
     ) -> None:
         self.proxied: Mapping[RouteWay, Proxied] = proxied or {}
-        self.prepared = prepare(recorder, self.proxied, capture.astray, shared=capture.shared > 0)
+        self.prepared = Prepared(recorder, self.proxied, capture.astray, shared=capture.shared > 0)
         payloads = self.prepared.payloads
         rows, self.jumps, self.instances = without_steps(
             self.prepared.rows, payloads.events, recorder.endpoints

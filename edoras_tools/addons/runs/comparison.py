@@ -34,7 +34,7 @@ from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.diagnosis.evidence.clocks.alignment import Alignment, Side, align, align_ways
 from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.copies import find_echoes
-from edoras_tools.diagnosis.evidence.preparation import prepare
+from edoras_tools.diagnosis.evidence.preparation import Prepared
 from edoras_tools.diagnosis.evidence.relays import LONGEST_NS, pair_up
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows
 from edoras_tools.diagnosis.matching.crossing import Latency, latency_of
@@ -314,7 +314,7 @@ def _identified(sides: tuple[_Side, _Side], keys: Sequence[_Key]) -> list[_Side]
 
 
 def _side(recorder: Recorder) -> _Side:
-    prepared = prepare(recorder, {})
+    prepared = Prepared(recorder, {})
     names = np.array([item.address for item in recorder.endpoints] or [""])
     return _Side(prepared.rows, names[prepared.rows.source], prepared.duplicates)
 
@@ -523,7 +523,7 @@ def against_capture(
         )
     choices = Chosen(scope.selection, bench)
     recorders = read_capture(source, bench, scope, choices, progress)
-    rows = prepare(recorders[FIRST_SPACECRAFT], {}).rows
+    rows = Prepared(recorders[FIRST_SPACECRAFT], {}).rows
     choice = choices.choice()
     comparisons = []
     for path in bags:

@@ -15,9 +15,8 @@ Rules:
 from __future__ import annotations
 
 from operator import attrgetter
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
-import msgspec
 import numpy as np
 from msgspec.structs import asdict, replace
 
@@ -48,8 +47,14 @@ _READ_IN_A_SECOND: Final = 22
 _PLACE: Final = {kind: place for place, kind in enumerate(ConversationKind)}
 
 
-class Prepared(NamedTuple):
-    """The prepared rows, and the datagrams that were left out.
+class Prepared:
+    """The prepared rows of a recorder, and the datagrams that were left out.
+
+    Args:
+        recorder: rows and payloads of the capture.
+        proxied: (link, direction, MsgId) to the faults that a proxy injected.
+        astray: time in ns, fingerprint and certainty of each datagram that was lost between two captures.
+        shared: whether there are several captures, and a datagram that two of them have stands here once.
 
     Attributes:
         rows: table of the datagrams to examine, in order of time.
@@ -70,116 +75,66 @@ class Prepared(NamedTuple):
         translated: address to its other name on the inner side of an address translation.
     """
 
-    rows: Rows
-    payloads: Payloads
-    flows: Sequence[Flow]
-    foreign: int
-    crowd: Integers
-    copies: int
-    relayed: int
-    passed: tuple[LostInRelay, ...]
-    duplicates: Places
-    damaged: Rows
-    doubled: Rows
-    perhaps_undelivered: Mask
-    disordered: int
-    unsteady_ns: int
-    translated: Mapping[str, str]
+    def __init__(
+        self,
+        recorder: Recorder,
+        proxied: Mapping[RouteWay, Proxied],
+        astray: Sequence[tuple[int, int, bool]] = (),
+        *,
+        shared: bool = False,
+    ) -> None:
+        rows, payloads, self.disordered = in_time_order(recorder)
+        self.rows = _of_output(rows)
+        del rows  # so that memory never holds the table twice
+        self.flows, endpoints = recorder.conversations.judge(), recorder.endpoints
+        kind = _kinds(self.rows, payloads, self.flows, endpoints)
+        count, source_of = len(self.rows), self.rows.source
+        self._places = np.arange(count)
+        """Index of each row in the table at the start."""
+        self.foreign = self._keep(kind != _PLACE[ConversationKind.FOREIGN])
+        self.crowd = self._leave_crowd()
+        names = one_name(self.rows, endpoints)
+        self._rename(names)
+        pairs = enumerate(names.tolist())
+        self.translated = {endpoints[at].address: endpoints[to].address for at, to in pairs if at != to}
+        self.damaged = self._leave_damaged(number_hosts(endpoints), shared=shared)
+        self.unsteady_ns = unsteadiness(self.rows)
+        self.passed = self._leave_before(find_relayed(self.rows, endpoints, self.unsteady_ns))
+        self.relayed = self._keep(~before_proxy(self.rows, proxied))
+        sources = names[source_of[payloads.ingest["row"]]]
+        copy, duplicate, perhaps, alone, behind_ns = _doubled(
+            self.rows, payloads, sources, endpoints, proxied
+        )
+        self.doubled = self.rows.take(np.flatnonzero(perhaps))
+        self.copies = int(copy.sum()) - len(self.doubled)
+        single = np.flatnonzero(~copy)
+        if behind_ns.any():
+            self.rows = replace(self.rows, time_ns=self.rows.time_ns - behind_ns)
+            single = single[np.argsort(self.rows.time_ns[single], kind="stable")]
+            self.rows, self._places = followed(self.rows.take(single)), self._places[single]
+        else:
+            self._keep(~copy)
+        self.duplicates = np.flatnonzero(duplicate[single])
+        stranger = kind[self._places] == _PLACE[ConversationKind.STRANGER]
+        if len(self._places) < count or stranger.any():
+            payloads = payloads.over(np.where(stranger, -1, self._places), count)
+        self.payloads = payloads.timed(self.rows.time_ns) if behind_ns.any() else payloads
+        surely, perhaps_undelivered = _find_astray(self.rows, astray)
+        self.perhaps_undelivered = perhaps_undelivered | alone[single]
+        self.rows = replace(self.rows, undelivered=surely)
+        if stranger.any():
+            self.rows = _emptied(self.rows, stranger)
 
-
-def prepare(
-    recorder: Recorder,
-    proxied: Mapping[RouteWay, Proxied],
-    astray: Sequence[tuple[int, int, bool]] = (),
-    *,
-    shared: bool = False,
-) -> Prepared:
-    """Prepare the rows of a recorder.
-
-    Args:
-        recorder: rows and payloads of the capture.
-        proxied: (link, direction, MsgId) to the faults that a proxy injected.
-        astray: time in ns, fingerprint and certainty of each datagram that was lost between two captures.
-        shared: whether there are several captures, and a datagram that two of them have stands here once.
-    """
-    rows, payloads, disordered = in_time_order(recorder)
-    rows = _of_output(rows)
-    flows, endpoints = recorder.conversations.judge(), recorder.endpoints
-    kind = _kinds(rows, payloads, flows, endpoints)
-    foreign = kind == _PLACE[ConversationKind.FOREIGN]
-    rest = _Left(rows, np.arange(len(rows)))
-    count, source_of = len(rows), rows.source
-    del rows  # so that memory never holds the table twice
-    rest.keep(~foreign)
-    crowd = rest.leave_crowd()
-    names = one_name(rest.rows, endpoints)
-    rest.rename(names)
-    damaged = rest.leave_damaged(number_hosts(endpoints), shared=shared)
-    unsteady_ns = unsteadiness(rest.rows)
-    passed = find_relayed(rest.rows, endpoints, unsteady_ns)
-    lost_there = tuple(loss for item in passed for loss in item.losses(rest.rows))
-    if passed:
-        # A damaged datagram behind a relay counts in front of it, as not sent on.
-        ways = rest.rows.way(np.concatenate([item.behind for item in passed]))
-        damaged = damaged.take(~np.isin(damaged.way(), ways))
-        rest.leave_before(passed)
-    relayed = before_proxy(rest.rows, proxied)
-    rest.keep(~relayed)
-    sources = names[source_of[payloads.ingest["row"]]]
-    copy, duplicate, perhaps, alone, behind_ns = _doubled(rest.rows, payloads, sources, endpoints, proxied)
-    doubled = rest.rows.take(np.flatnonzero(perhaps))
-    single = np.flatnonzero(~copy)
-    if behind_ns.any():
-        rest.rows = replace(rest.rows, time_ns=rest.rows.time_ns - behind_ns)
-        single = single[np.argsort(rest.rows.time_ns[single], kind="stable")]
-        rest.rows, rest.places = followed(rest.rows.take(single)), rest.places[single]
-    else:
-        rest.keep(~copy)
-    stranger = kind[rest.places] == _PLACE[ConversationKind.STRANGER]
-    if len(rest.places) < count or stranger.any():
-        payloads = payloads.over(np.where(stranger, -1, rest.places), count)
-    if behind_ns.any():
-        payloads = payloads.timed(rest.rows.time_ns)
-    surely, perhaps_undelivered = _find_astray(rest.rows, astray)
-    rest.rows = replace(rest.rows, undelivered=surely)
-    return Prepared(
-        rows=_emptied(rest.rows, stranger) if stranger.any() else rest.rows,
-        payloads=payloads,
-        flows=flows,
-        foreign=int(foreign.sum()),
-        crowd=crowd,
-        copies=int(copy.sum()) - len(doubled),
-        relayed=int(relayed.sum()),
-        passed=lost_there,
-        duplicates=np.flatnonzero(duplicate[single]),
-        damaged=damaged,
-        doubled=doubled,
-        perhaps_undelivered=perhaps_undelivered | alone[single],
-        disordered=disordered,
-        unsteady_ns=unsteady_ns,
-        translated={
-            endpoints[index].address: endpoints[name].address
-            for index, name in enumerate(names.tolist())
-            if index != name
-        },
-    )
-
-
-class _Left(msgspec.Struct):
-    """The rows that are left, and the index of each in the table at the start."""
-
-    rows: Rows
-    places: Places
-
-    def keep(self, some: Mask) -> None:
-        """Keep the rows that a mask selects."""
-        if gone := len(some) - np.count_nonzero(some):
+    def _keep(self, some: Mask) -> int:
+        """Keep the rows that a mask selects; return the number of the others."""
+        if gone := int(len(some) - np.count_nonzero(some)):
             # Masks copy runs of rows, which is faster if the runs are long.
             own, columns = some if gone * _RUN < len(some) else np.flatnonzero(some), asdict(self.rows)
-            self.rows, self.places = self.rows.take(self.places[:0]), self.places[own]
+            self.rows, self._places = self.rows.take(self._places[:0]), self._places[own]
             self.rows = Rows(**{name: columns.pop(name)[own] for name in list(columns)})
+        return gone
 
-    def leave_crowd(self) -> Integers:
+    def _leave_crowd(self) -> Integers:
         """Leave out senders beyond the busiest ones (rule 5); return the number of rows of each."""
         rows = self.rows
         crowded, own = np.zeros(len(rows), bool), np.flatnonzero(rows.on(lambda link: link.from_cfs))
@@ -187,33 +142,40 @@ class _Left(msgspec.Struct):
         counts = np.bincount(which, minlength=len(first))
         beyond = np.argsort(-counts, kind="stable")[_MOST_SENDERS:]
         crowded[own] = np.isin(which, beyond)
-        self.keep(~crowded)
+        self._keep(~crowded)
         return counts[beyond]
 
-    def rename(self, names: NDArray[np.int32]) -> None:
+    def _rename(self, names: NDArray[np.int32]) -> None:
         """Give each endpoint one name (rule 3): ``names`` has that of each."""
         if (names != np.arange(len(names))).any():
             ends = {end: names[getattr(self.rows, end)] for end in ("source", "destination")}
             self.rows = followed(replace(self.rows, **ends))
 
-    def leave_damaged(self, hosts: NDArray[np.int32], *, shared: bool) -> Rows:
+    def _leave_damaged(self, hosts: NDArray[np.int32], *, shared: bool) -> Rows:
         """Leave out damaged datagrams (rule 4); return one row of each."""
         lost, standing = copies.find_damaged(self.rows, hosts, shared=shared)
         damaged = self.rows.take(standing)
-        if lost.any():
-            self.keep(~lost)
+        if self._keep(~lost):
             self.rows = followed(self.rows)
         return damaged
 
-    def leave_before(self, relays: Sequence[RelayedWay]) -> None:
-        """Leave out what was captured in front of relays (rule 3); what is behind them has that sender."""
-        source, behind = self.rows.source.copy(), np.ones(len(self.rows), bool)
-        for item in relays:
-            source[item.behind] = item.sources(self.rows)
-            behind[item.before] = False
-        self.rows = replace(self.rows, source=source)
-        self.keep(behind)
-        self.rows = followed(self.rows)
+    def _leave_before(self, relays: Sequence[RelayedWay]) -> tuple[LostInRelay, ...]:
+        """Leave out what was captured in front of relays (rule 3), and return what these lost.
+
+        What is behind a relay has that sender. A damaged datagram behind it counts in front, as not sent on.
+        """
+        lost = tuple(loss for item in relays for loss in item.losses(self.rows))
+        if relays:
+            ways = self.rows.way(np.concatenate([item.behind for item in relays]))
+            self.damaged = self.damaged.take(~np.isin(self.damaged.way(), ways))
+            source, behind = self.rows.source.copy(), np.ones(len(self.rows), bool)
+            for item in relays:
+                source[item.behind] = item.sources(self.rows)
+                behind[item.before] = False
+            self.rows = replace(self.rows, source=source)
+            self._keep(behind)
+            self.rows = followed(self.rows)
+        return lost
 
 
 def _find_astray(rows: Rows, astray: Sequence[tuple[int, int, bool]]) -> tuple[Mask, Mask]:

@@ -66,7 +66,7 @@ class Rows(msgspec.Struct, frozen=True):
             between two places of capture.
         life: u8, time to live, or hop limit.
         streamed: bool, the packet came over TCP.
-        undelivered: bool, its receiver did not get it because of a wrong checksum. After ``prepare``: it did
+        undelivered: bool, its receiver did not get it because of a wrong checksum. After preparation: it did
             not reach the next capture on its path.
         bytes_print: u64, fingerprint of the whole datagram.
         counted: bool, the packet has a sequence count, and its sender counts.
