@@ -43,7 +43,7 @@ from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied, RouteWay
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows, followed
 from edoras_tools.diagnosis.evidence.timeline.changes import SoftwareChanges, capture_changes, network_changes
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Timeline
-from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_unreached, find_unreachable
+from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_unreached
 from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.stalls import stalls
@@ -362,7 +362,7 @@ class Case:
     @cached_property
     def unreachable(self) -> Unreachable:
         """The datagrams that reached nobody, as ICMP errors show."""
-        return find_unreachable(self.rows, self._errors, self.endpoints, self.prepared.translated)
+        return Unreachable(self.rows, self._errors, self.endpoints, self.prepared.translated)
 
     @cached_property
     def network(self) -> Network:

@@ -16,11 +16,9 @@ Rules:
 from __future__ import annotations
 
 from bisect import bisect_right
-from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
@@ -30,7 +28,7 @@ from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays import Integers, Places, by_key, groups, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.evidence.table import Rows
@@ -116,8 +114,15 @@ class PeerRestart(NamedTuple):
     read_ns: int
 
 
-class Connection(msgspec.Struct):
+class Connection:
     """The connection of a peer, as one cFS sees it.
+
+    Args:
+        ends: the peer, and the observer.
+        rows: table of datagrams.
+        heard: rows that the peer sent to the observer; at least one.
+        sent: rows that the observer sent to the peer.
+        network: all peers, with the constants of SBN.
 
     Attributes:
         peer: identity of the peer, as ``66:3``.
@@ -127,17 +132,31 @@ class Connection(msgspec.Struct):
         restarts: restarts of the peer before a time-out, in order.
         heard_ns: i64, capture times of all that the peer sent to the observer.
         seldom_ns: time within which it surely sends something, a heartbeat at least.
-        late: time of a change, ns, to the number of answers then to what the peer had been sent before.
     """
 
-    peer: str
-    observer: str
-    changes: list[PeerChange]
-    sent_ns: Integers
-    restarts: list[PeerRestart]
-    heard_ns: Integers
-    seldom_ns: int
-    late: dict[int, int]
+    def __init__(
+        self, ends: tuple[SbnParty, SbnParty], rows: Rows, heard: Places, sent: Places, network: Network
+    ) -> None:
+        self.peer, self.observer = (name for name, _ in ends)
+        self._rows, self._heard, self._outages = rows, heard, network.outages
+        self.heard_ns, self._kinds = rows.time_ns[heard], rows.sbn_msg_type[heard]
+        self._said_ns, said = rows.time_ns[sent], rows.sbn_msg_type[sent]
+        app, subs = sent[said == sbn.MsgType.APP], self._said_ns[said == sbn.MsgType.SUB]
+        self.sent_ns = rows.time_ns[app]
+        self._answers = self.heard_ns[self._kinds == sbn.MsgType.PROTO]
+        self.seldom_ns, self._timeout_ns = network.seldom_ns, network.timeout_ns
+        self._streamed = bool(rows.streamed[heard].any())
+        to_connected = sent[np.isin(said, _TO_CONNECTED)]
+        greeted = (rows.sbn_msg_type[to_connected[:1]] == sbn.MsgType.PROTO).any()
+        first = int(np.append(to_connected if greeted else sent, heard)[0])
+        self.changes = self._states(first, _disconnect_spans(self._said_ns, said))
+        self._believe()
+        self._add_unseen(subs, rows.missing[app[1:]])
+        quiet = [at for at, own in enumerate(self.changes) if own.state == "silent"]
+        mute = [at for at in quiet if not self._spoke(self.changes[at].time_ns)]
+        mute += [at + 1 for at in mute if self.changes[at].why != UNSEEN]
+        self.changes = [own for at, own in enumerate(self.changes) if at not in mute]
+        self.restarts = [item for item in self._find_restarts() if self._spoke(item.last_ns)]
 
     def silences(self, end_ns: int) -> Iterator[PeerSilence]:
         """Yield every silence with a time-out, and one that lasts to the end of the capture."""
@@ -145,15 +164,15 @@ class Connection(msgspec.Struct):
             if change.state != "silent" or change.why == UNSEEN:
                 continue
             later = self.changes[at:]
-            backs = (item for item in later if item.state == "connected")
-            back = next(backs, PeerChange(end_ns, "silent", ""))
+            back = next((item for item in later if item.state == "connected"), None)
             given_up_ns = later[0].time_ns if later and later[0].state == "timed_out" else 0
-            answers = self.late.get(back.time_ns, 0)
-            still = back.why.startswith("its ") and back.why not in _BEGAN
+            answers = self._late_answers(back.time_ns) if back else 0
             # Its next datagram was due by its last steps, or else a heartbeat.
             steps = np.diff(self.heard_ns[self.heard_ns <= change.time_ns])[-_LEAST_STEPS:]
             due_ns = change.time_ns + (self.seldom_ns if len(steps) < _LEAST_STEPS else int(steps.max()))
-            silence = PeerSilence(change.time_ns, back.time_ns, due_ns, given_up_ns, still, answers)
+            until_ns = back.time_ns if back else end_ns
+            still = back is not None and back.why.startswith("its ") and back.why not in _BEGAN
+            silence = PeerSilence(change.time_ns, until_ns, due_ns, given_up_ns, still, answers)
             still |= answers > max(_LEAST_ROWS, len(silence.within(self.sent_ns)) // 2)
             yield silence._replace(stood_still=still)
 
@@ -162,6 +181,176 @@ class Connection(msgspec.Struct):
         states = [change._asdict() for change in self.changes]
         return {"peer": self.peer, "observer": self.observer, "states": states}
 
+    def _states(self, first: int, farewells: list[tuple[int, int]]) -> list[PeerChange]:
+        """Return the states of the peer, from its datagrams.
+
+        Args:
+            first: row of the observer's PROTO that begins its first connection, else its first datagram.
+            farewells: result of ``_disconnect_spans``.
+        """
+        timeout, silent = self._timeout_ns, self.seldom_ns
+        if self._streamed:
+            timeout = silent = _NEVER
+        begin_ns, alive_ns, end_ns = self._rows.time_ns[[0, first, -1]].tolist()
+        begins = self._rows.sbn_msg_type[first] == sbn.MsgType.PROTO
+        changes: list[PeerChange] = []
+        up, away = False, [*farewells, (np.iinfo(np.int64).max, 0)]
+        # Nobody heard datagrams before the observer was running.
+        audible = self.heard_ns >= alive_ns - 500 * MILLISECOND
+        times, kinds = self.heard_ns[audible], self._kinds[audible]
+        # Only these can change the state: a DISCONNECT, the datagram behind it, and one after a silence.
+        ends = kinds == sbn.MsgType.DISCONNECT
+        changing = ends | np.append(True, ends)[: len(ends)] | (np.diff(times, prepend=0) >= timeout)
+        for at in np.flatnonzero(changing | bool(farewells)).tolist():
+            now, kind, last = int(times[at]), int(kinds[at]), int(times[at - 1])
+            if now > away[0][0]:
+                if up:
+                    changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
+                up = False
+                if now < away[0][1]:
+                    continue  # the observer does not accept this datagram
+                away.pop(0)
+            # Nothing at all may come from the last message before a time-out on.
+            if up and now - last >= timeout and now - last > timeout + self._away(last, now) - SECOND:
+                changes += _silence(last, timeout)
+                up = False
+            if kind == sbn.MsgType.DISCONNECT:
+                if up:
+                    changes.append(PeerChange(now, "disconnected", "it sent DISCONNECT"))
+                up = False
+            elif not up:
+                begun_ns = SECOND if kind in _GREETINGS else timeout
+                older = not (changes or begins) and now - begin_ns < begun_ns
+                why = ALREADY if older else f"its {sbn.MSG_TYPE_NAMES.get(kind, f'type {kind:#04x}')} arrived"
+                changes.append(PeerChange(now, "connected", why))
+                up = True
+        last = int(times[-1]) if up else 0
+        if up and away[0][0] <= end_ns:
+            changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
+        elif up and (quiet := end_ns - last - self._away(last, end_ns)) >= timeout + SECOND:
+            changes += _silence(last, timeout)
+        elif up and quiet >= silent:
+            text = f"nothing from it since, {(end_ns - last) / SECOND:.1f} s to the end of the capture"
+            changes.append(PeerChange(last, "silent", text))
+        return changes
+
+    def _spoke(self, when: int) -> bool:
+        """Return whether the observer sent something before a time, and after: heartbeats at least (rule 6).
+
+        It was not there where it sent nothing since, so that its peer's silence then tells nothing.
+        """
+        before = np.ptp(np.searchsorted(self._said_ns, (when - self.seldom_ns, when)))
+        return bool(before and when < self._said_ns[-1])
+
+    def _away(self, start_ns: int, end_ns: int) -> int:
+        """Return how much of a span, ns, nothing could be captured."""
+        return sum(max(0, min(end, end_ns) - max(start, start_ns)) for start, end in self._outages)
+
+    def _believe(self) -> None:
+        """Remove time-outs that the observer did not see (rule 3)."""
+        changes, self.changes = self.changes, []
+        for at, change in enumerate(changes):
+            until = changes[at + 1].time_ns if at + 1 < len(changes) else np.iinfo(np.int64).max
+            late = (self.sent_ns > change.time_ns + _STILL_NS) & (self.sent_ns < until - SECOND)
+            if change.state == "timed_out" and late.any():
+                self.changes[-1] = self.changes[-1]._replace(why=UNSEEN)
+            else:
+                self.changes.append(change)
+
+    def _add_unseen(self, subscribed: Integers, missing: Integers) -> None:
+        """Add time-outs that no silence shows (rule 4).
+
+        Counts are missing from the observer's messages in front of its new SUB: it sent them to nobody.
+
+        Args:
+            subscribed: i64, times at which the observer sent SUB, ns.
+            missing: i64, number of counts that are missing in front of each message of it but the first.
+        """
+        behind = np.searchsorted(self.sent_ns, subscribed)
+        # Nothing is missing in front of the first message, nor behind the last one.
+        lacking = np.concatenate(([0], missing, [0]))[behind] != 0
+        for when, later in zip(subscribed[lacking].tolist(), behind[lacking].tolist(), strict=True):
+            place = bisect_right(self.changes, when, key=attrgetter("time_ns"))
+            last_ns = int(self.sent_ns[later - 1])
+            up = place and self.changes[place - 1].state == "connected"
+            if up and self.changes[place - 1].time_ns < last_ns < when - _STILL_NS:
+                lost = PeerChange(last_ns + 1, "timed_out", "the observer heard nothing of it any more")
+                back = PeerChange(when, "connected", "the observer subscribed anew")
+                self.changes[place:place] = [lost, back]
+
+    def _find_restarts(self) -> list[PeerRestart]:
+        """Return the restarts of the peer (rule 5).
+
+        A bridge that repeats its subscriptions does so after any silence. It counts as restarted only if it
+        usually answers messages, and never answered those that were sent to it in the silence.
+        """
+        times, answers = self.heard_ns, self._answers
+        steps = np.diff(times)
+        if len(steps) < _LEAST_STEPS or self._streamed:
+            return []
+        usual_ns = int(np.quantile(steps, 0.95))
+        subs = np.flatnonzero(self._kinds == sbn.MsgType.SUB)
+        subscribes = times[subs]
+        # Subscriptions within a quarter of a second begin together; a bridge repeats them every few seconds.
+        begins = int((np.diff(subscribes, prepend=0) > SECOND // 4).sum())
+        repeats = begins > 2 + len(self.changes) + (times[-1] - times[0]) // _RARE_NS
+        answering = 2 * len(answers) >= len(self.sent_ns)
+        # At a peer that answers, missing answers also show a shorter silence.
+        long_ns = max(_SHORT_NS // 3, 2 * usual_ns) if answering else max(_SHORT_NS, _FACTOR * usual_ns)
+        restarts = []
+        for place in np.flatnonzero(steps > long_ns).tolist():
+            start_ns, end_ns = times[place : place + 2].tolist()
+            followed = any(start_ns <= item.time_ns < end_ns for item in self.changes)
+            read_ns = int(answers[answers <= start_ns].max(initial=0)) if answering else start_ns
+            unread_ns = read_ns if answering else start_ns + usual_ns
+            number = int(np.ptp(np.searchsorted(self.sent_ns, (unread_ns + 1, end_ns))))
+            again = subs[slice(*np.searchsorted(subscribes, (end_ns, end_ns + SECOND // 4)))]
+            if followed or not number or not len(again):
+                continue
+            if repeats:
+                # Who answers some of what it was sent before had stood still, though its socket kept not all.
+                late = self._late_answers(end_ns) > min(_LEAST_ROWS, number // 2)
+                if late or not answering or 2 * (len(self._said_ns) - len(answers)) < number:
+                    continue
+            around = int(self._heard[place]), int(self._heard[again[0]])
+            restarts.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))
+        return restarts
+
+    def _late_answers(self, back_ns: int) -> int:
+        """Return how many answers of a peer that is back are to what it had been sent before.
+
+        The network may have kept them for as long as the peer was silent.
+        """
+        before = np.maximum(np.searchsorted(self.heard_ns, back_ns) - 1, 0)
+        until_ns = back_ns + _STILL_NS + back_ns - int(self.heard_ns[before])
+        answers = self._answers[slice(*np.searchsorted(self._answers, (back_ns, until_ns)))]
+        asked = np.searchsorted(self._said_ns, answers, "right") - np.searchsorted(self._said_ns, back_ns)
+        return int((np.arange(1, len(answers) + 1) - asked).max(initial=0))
+
+
+def _silence(last: int, timeout: int) -> list[PeerChange]:
+    return [
+        PeerChange(last, "silent", "its last datagram; it was killed, stopped or cut off"),
+        PeerChange(last + timeout, "timed_out", f"{timeout // SECOND} s without a word"),
+    ]
+
+
+def _disconnect_spans(said_ns: Integers, kinds: Integers) -> list[tuple[int, int]]:
+    """Return when an observer sent DISCONNECT, and from when on it accepted the peer's datagrams again, ns.
+
+    The second time is shortly before the observer's next datagram to the peer, because it answers; it is the
+    largest i64 if there is none.
+    """
+    goodbye = kinds == sbn.MsgType.DISCONNECT
+    others = said_ns[~goodbye]
+    spans: list[tuple[int, int]] = []
+    for when in said_ns[goodbye].tolist():
+        at = int(np.searchsorted(others, when, "right"))
+        again = int(others[at]) - 500 * MILLISECOND if at < len(others) else int(np.iinfo(np.int64).max)
+        if not spans or when > spans[-1][1]:
+            spans.append((when, again))
+    return spans
+
 
 class Network:
     """All peers of the Software Bus Network.
@@ -169,6 +358,9 @@ class Network:
     Attributes:
         identity_of: endpoint to the identity that sends from it.
         connections: (peer, observer) to their connection.
+        outages: spans (start, end), ns, in which nothing could be captured.
+        timeout_ns: silence after which a cFS gives a peer up.
+        seldom_ns: time within which a peer surely sends something, a heartbeat at least.
     """
 
     def __init__(
@@ -184,10 +376,10 @@ class Network:
         """
         self.identity_of: dict[int, str] = {}
         self.connections: dict[tuple[SbnParty, SbnParty], Connection] = {}
-        self._outages = outages
+        self.outages = outages
         self._hosts = instances.hosts
-        self._timeout_ns = profile.sbn_timeout_s * SECOND
-        self._seldom_ns = (profile.sbn_heartbeat_s + 1) * SECOND
+        self.timeout_ns = profile.sbn_timeout_s * SECOND
+        self.seldom_ns = (profile.sbn_heartbeat_s + 1) * SECOND
         network = np.flatnonzero(rows.on(lambda link: link.peers) & (rows.sbn_msg_type >= 0))
         if not len(network):
             return
@@ -219,211 +411,12 @@ class Network:
         first, way = numbered(rows.source[network], rows.destination[network])
         source, target = rows.source[network[first]], rows.destination[network[first]]
         ways = by_key(range(len(first)), lambda at: (parties[source[at]], parties[target[at]]))
-        end_ns = int(rows.time_ns[-1])
-        for peer, observer in sorted(ways):
+        for ends in sorted(ways):
+            peer, observer = ends
             if peer[0] and observer[0] in flight_software and peer != observer:
-                heard = network[np.isin(way, ways[peer, observer])]
-                sent = network[np.isin(way, ways.get((observer, peer), []))]
-                app = sent[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
-                to_connected = sent[np.isin(rows.sbn_msg_type[sent], _TO_CONNECTED)]
-                greeted = (rows.sbn_msg_type[to_connected[:1]] == sbn.MsgType.PROTO).any()
-                start = int(np.append(to_connected if greeted else sent, heard)[0])
-                changes = self._changes(rows, heard, start, end_ns, _disconnect_spans(rows, sent))
-                app_ns, heard_ns = rows.time_ns[app], rows.time_ns[heard]
-                answers = heard_ns[rows.sbn_msg_type[heard] == sbn.MsgType.PROTO]
-                late_at = partial(_late_answers, heard_ns, answers, rows.time_ns[sent])
-                changes = _with_unseen(_believed(changes, app_ns), rows, sent, app)
-                spoke = partial(self._spoke, rows.time_ns[sent])
-                quiet = [at for at, own in enumerate(changes) if own.state == "silent"]
-                mute = [at for at in quiet if not spoke(changes[at].time_ns)]
-                mute += [at + 1 for at in mute if changes[at].why != UNSEEN]
-                changes = [own for at, own in enumerate(changes) if at not in mute]
-                restarts = _restarts(rows, heard, sent, changes, late_at)
-                restarts = [item for item in restarts if spoke(item.last_ns)]
-                late = {item.time_ns: late_at(item.time_ns) for item in changes}
-                about = changes, app_ns, restarts, heard_ns, self._seldom_ns, late
-                self.connections[peer, observer] = Connection(peer[0], observer[0], *about)
-
-    def _changes(
-        self, rows: Rows, heard: Places, first: int, end_ns: int, farewells: list[tuple[int, int]]
-    ) -> list[PeerChange]:
-        """Return the states of one peer, from its datagrams to one observer.
-
-        Args:
-            rows: table of datagrams.
-            heard: rows that the peer sent to the observer.
-            first: row of the observer's PROTO that begins its first connection, else its first datagram.
-            end_ns: time of the last datagram of the capture.
-            farewells: result of ``_disconnect_spans``.
-        """
-        timeout, silent = self._timeout_ns, self._seldom_ns
-        if rows.streamed[heard].any():
-            timeout = silent = _NEVER
-        begin_ns, alive_ns = rows.time_ns[[0, first]].tolist()
-        begins = rows.sbn_msg_type[first] == sbn.MsgType.PROTO
-        changes: list[PeerChange] = []
-        up, away = False, [*farewells, (np.iinfo(np.int64).max, 0)]
-        # Nobody heard datagrams before the observer was running.
-        heard = heard[rows.time_ns[heard] >= alive_ns - 500 * MILLISECOND]
-        times, kinds = rows.time_ns[heard], rows.sbn_msg_type[heard]
-        # Only these can change the state: a DISCONNECT, the datagram behind it, and one after a silence.
-        ends = kinds == sbn.MsgType.DISCONNECT
-        changing = ends | np.append(True, ends)[: len(ends)] | (np.diff(times, prepend=0) >= timeout)
-        for at in np.flatnonzero(changing | bool(farewells)).tolist():
-            now, kind, last = int(times[at]), int(kinds[at]), int(times[at - 1])
-            if now > away[0][0]:
-                if up:
-                    changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
-                up = False
-                if now < away[0][1]:
-                    continue  # the observer does not accept this datagram
-                away.pop(0)
-            # Nothing at all may come from the last message before a time-out on.
-            if up and now - last >= timeout and now - last > timeout + self._away(last, now) - SECOND:
-                changes += self._silence(last, timeout)
-                up = False
-            if kind == sbn.MsgType.DISCONNECT:
-                if up:
-                    changes.append(PeerChange(now, "disconnected", "it sent DISCONNECT"))
-                up = False
-            elif not up:
-                begun_ns = SECOND if kind in _GREETINGS else timeout
-                older = not (changes or begins) and now - begin_ns < begun_ns
-                why = ALREADY if older else f"its {sbn.MSG_TYPE_NAMES.get(kind, f'type {kind:#04x}')} arrived"
-                changes.append(PeerChange(now, "connected", why))
-                up = True
-        last = int(times[-1]) if up else 0
-        if up and away[0][0] <= end_ns:
-            changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
-        elif up and (quiet := end_ns - last - self._away(last, end_ns)) >= timeout + SECOND:
-            changes += self._silence(last, timeout)
-        elif up and quiet >= silent:
-            text = f"nothing from it since, {(end_ns - last) / SECOND:.1f} s to the end of the capture"
-            changes.append(PeerChange(last, "silent", text))
-        return changes
-
-    def _spoke(self, sent_ns: Integers, when: int) -> bool:
-        """Return whether an observer sent something before a time, and after: heartbeats at least (rule 6).
-
-        It was not there where it sent nothing since, so that its peer's silence then tells nothing.
-        """
-        return bool(np.ptp(np.searchsorted(sent_ns, (when - self._seldom_ns, when))) and when < sent_ns[-1])
-
-    def _away(self, start_ns: int, end_ns: int) -> int:
-        """Return how much of a span, ns, nothing could be captured."""
-        return sum(max(0, min(end, end_ns) - max(start, start_ns)) for start, end in self._outages)
-
-    @staticmethod
-    def _silence(last: int, timeout: int) -> list[PeerChange]:
-        return [
-            PeerChange(last, "silent", "its last datagram; it was killed, stopped or cut off"),
-            PeerChange(last + timeout, "timed_out", f"{timeout // SECOND} s without a word"),
-        ]
+                heard, sent = (network[np.isin(way, ways.get(own, []))] for own in (ends, ends[::-1]))
+                self.connections[ends] = Connection(ends, rows, heard, sent, self)
 
     def crossing(self, sender: int, receiver: int) -> Connection | None:
         """Return the receiver's connection as the sender sees it; None if there is none."""
         return self.connections.get((self.party(receiver), self.party(sender)))
-
-
-def _disconnect_spans(rows: Rows, sent: Places) -> list[tuple[int, int]]:
-    """Return when an observer sent DISCONNECT, and from when on it accepted the peer's datagrams again, ns.
-
-    The second time is shortly before the observer's next datagram to the peer, because it answers; it is the
-    largest i64 if there is none.
-    """
-    goodbye = rows.sbn_msg_type[sent] == sbn.MsgType.DISCONNECT
-    others = rows.time_ns[sent[~goodbye]]
-    spans: list[tuple[int, int]] = []
-    for when in rows.time_ns[sent[goodbye]].tolist():
-        at = int(np.searchsorted(others, when, "right"))
-        again = int(others[at]) - 500 * MILLISECOND if at < len(others) else int(np.iinfo(np.int64).max)
-        if not spans or when > spans[-1][1]:
-            spans.append((when, again))
-    return spans
-
-
-def _believed(changes: list[PeerChange], sent_ns: Integers) -> list[PeerChange]:
-    """Return the changes without time-outs that the observer did not see (rule 3)."""
-    out: list[PeerChange] = []
-    for at, change in enumerate(changes):
-        until = changes[at + 1].time_ns if at + 1 < len(changes) else np.iinfo(np.int64).max
-        late = (sent_ns > change.time_ns + _STILL_NS) & (sent_ns < until - SECOND)
-        if change.state == "timed_out" and late.any():
-            out[-1] = out[-1]._replace(why=UNSEEN)
-            continue
-        out.append(change)
-    return out
-
-
-def _with_unseen(changes: list[PeerChange], rows: Rows, sent: Places, app: Places) -> list[PeerChange]:
-    """Return the changes with time-outs that no silence shows (rule 4).
-
-    Counts are missing from the observer's messages in front of its new SUB: it sent them to nobody.
-    """
-    out, app_ns = list(changes), rows.time_ns[app]
-    subscribed = rows.time_ns[sent[rows.sbn_msg_type[sent] == sbn.MsgType.SUB]]
-    behind = np.searchsorted(app_ns, subscribed)
-    # Nothing is missing in front of the first message, nor behind the last one.
-    lacking = np.concatenate(([0], rows.missing[app[1:]], [0]))[behind] != 0
-    for when, later in zip(subscribed[lacking].tolist(), behind[lacking].tolist(), strict=True):
-        place = bisect_right(out, when, key=attrgetter("time_ns"))
-        if place and out[place - 1].state == "connected":
-            last_ns = int(app_ns[later - 1])
-            if out[place - 1].time_ns < last_ns < when - _STILL_NS:
-                lost = PeerChange(last_ns + 1, "timed_out", "the observer heard nothing of it any more")
-                out[place:place] = [lost, PeerChange(when, "connected", "the observer subscribed anew")]
-    return out
-
-
-def _restarts(
-    rows: Rows, heard: Places, sent: Places, changes: list[PeerChange], late_at: Callable[[int], int]
-) -> list[PeerRestart]:
-    """Return the restarts of a peer (rule 5).
-
-    A bridge that repeats its subscriptions does so after any silence. It counts as restarted only if it
-    usually answers messages, and never answered those that were sent to it in the silence.
-    """
-    steps = np.diff(rows.time_ns[heard])
-    if len(steps) < _LEAST_STEPS or rows.streamed[heard].any():
-        return []
-    kinds, times, sent_ns = rows.sbn_msg_type[heard], rows.time_ns[heard], rows.time_ns[sent]
-    usual_ns = int(np.quantile(steps, 0.95))
-    subs = np.flatnonzero(kinds == sbn.MsgType.SUB)
-    subscribes = times[subs]
-    # Subscriptions within a quarter of a second begin together; a bridge repeats them every few seconds.
-    begins = int((np.diff(subscribes, prepend=0) > SECOND // 4).sum())
-    repeats = begins > 2 + len(changes) + (times[-1] - times[0]) // _RARE_NS
-    answers = times[kinds == sbn.MsgType.PROTO]
-    app_ns = sent_ns[rows.sbn_msg_type[sent] == sbn.MsgType.APP]
-    answering = 2 * len(answers) >= len(app_ns)
-    # At a peer that answers, missing answers also show a shorter silence.
-    long_ns = max(_SHORT_NS // 3, 2 * usual_ns) if answering else max(_SHORT_NS, _FACTOR * usual_ns)
-    restarts = []
-    for place in np.flatnonzero(steps > long_ns).tolist():
-        start_ns, end_ns = times[place : place + 2].tolist()
-        followed = any(start_ns <= item.time_ns < end_ns for item in changes)
-        read_ns = int(answers[answers <= start_ns].max(initial=0)) if answering else start_ns
-        unread_ns = read_ns if answering else start_ns + usual_ns
-        number = int(np.searchsorted(app_ns, end_ns) - np.searchsorted(app_ns, unread_ns, "right"))
-        again = subs[slice(*np.searchsorted(subscribes, (end_ns, end_ns + SECOND // 4)))]
-        if followed or not number or not len(again):
-            continue
-        if repeats:
-            # Who answers some of what it was sent before had stood still, though its socket kept not all.
-            late = late_at(end_ns) > min(_LEAST_ROWS, number // 2)
-            if late or not answering or 2 * (len(sent_ns) - len(answers)) < number:
-                continue
-        around = int(heard[place]), int(heard[again[0]])
-        restarts.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))
-    return restarts
-
-
-def _late_answers(heard_ns: Integers, answers: Integers, sent_ns: Integers, back_ns: int) -> int:
-    """Return how many answers of a peer that is back are to what it had been sent before.
-
-    The network may have kept them for as long as the peer was silent.
-    """
-    silent_ns = back_ns - int(heard_ns[np.maximum(np.searchsorted(heard_ns, back_ns) - 1, 0)])
-    answers = answers[slice(*np.searchsorted(answers, (back_ns, back_ns + _STILL_NS + silent_ns)))]
-    asked = np.searchsorted(sent_ns, answers, "right") - np.searchsorted(sent_ns, back_ns)
-    return int((np.arange(1, len(answers) + 1) - asked).max(initial=0))

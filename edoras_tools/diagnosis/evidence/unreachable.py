@@ -73,8 +73,14 @@ class ClosedSpan(NamedTuple):
     step_ns: int = 0
 
 
-class Unreachable(NamedTuple):
-    """The datagrams that reached nobody.
+class Unreachable:
+    """The datagrams of a capture that reached nobody.
+
+    Args:
+        rows: table of datagrams, in order of time.
+        recorder: recorder of the errors.
+        endpoints: endpoints that ``source`` and ``destination`` of the rows index.
+        translated: address to its other name on the inner side of an address translation.
 
     Attributes:
         closed: bool (rows,), the datagram went to a closed port.
@@ -83,10 +89,59 @@ class Unreachable(NamedTuple):
         spans: times in which ports were closed, by port and time.
     """
 
-    closed: Mask
-    refused: Mask
-    uncertain: Mask
-    spans: Sequence[ClosedSpan] = ()
+    def __init__(
+        self,
+        rows: Rows,
+        recorder: ErrorRecorder,
+        endpoints: Sequence[Endpoint],
+        translated: Mapping[str, str],
+    ) -> None:
+        self.closed, self.refused, self.uncertain = np.zeros((3, len(rows)), bool)
+        self.spans: list[ClosedSpan] = []
+        errors = recorder.errors()
+        if not len(errors.print) or not len(rows):
+            return
+        number = {endpoint: at for at, endpoint in enumerate(endpoints)}
+        same = [replace(item, address=translated.get(item.address, item.address)) for item in endpoints]
+        names = np.array([number.get(item, at) for at, item in enumerate(same)])
+        errors = errors._replace(source=names[errors.source], destination=names[errors.destination])
+        row = _quoted(rows, errors)
+        self.refused[row[(row >= 0) & ~errors.closed]] = True
+        closing, own = errors.take(errors.closed), row[errors.closed]
+        self.closed[own[own >= 0]] = True
+        times, sources = recorder.voices()[:2]
+        self._close(_events(rows, closing, own, self.closed, (times, names[sources])), endpoints)
+        self.refused[self.closed] = False
+        self.uncertain[self.closed | self.refused] = False
+
+    def _close(self, events: _Events, endpoints: Sequence[Endpoint]) -> None:
+        """Add the times in which ports were closed, and mark the datagrams of rules 3 and 4."""
+        port, times, row = events[:3]
+        voice, error = np.flatnonzero(events.kind == _VOICE), events.kind == _ERROR
+        telling = _telling(events, endpoints)
+        fresh = np.append(True, port[1:] != port[:-1])
+        bounds = np.append(np.flatnonzero(_signs_of_life(events, telling) | fresh), len(port))
+        for place in np.flatnonzero(np.add.reduceat(error, bounds[:-1])).tolist():
+            begin, end = bounds[place : place + 2].tolist()
+            own = np.flatnonzero(error[begin:end]) + begin
+            first, last = int(own[0]), int(own[-1])
+            number = int(port[begin])
+            voices = voice[slice(*np.searchsorted(port[voice], [number, number + 1]))]
+            back = end < len(port) and port[end] == number
+            before = voices[voices < first]
+            steps = np.diff(times[before])
+            silent = len(steps) >= _VOICES and not ((voices > first) & (voices < end)).any()
+            step_ns = int(steps.mean()) if silent else 0
+            start_ns, last_ns = times[[first, last]].tolist()
+            end_ns = int(times[end]) if back else NEVER
+            self.spans.append(ClosedSpan(endpoints[number], start_ns, last_ns, end_ns, len(own), step_ns))
+            free = np.flatnonzero(events.unanswered[first:end]) + first
+            self.closed[row[free[(free < last) & ~telling[free]]]] = True
+            self.uncertain[row[free]] = True
+            if step_ns and start_ns - times[before[-1]] <= _REGULAR * step_ns:
+                late = np.arange(before[-1], first)
+                late = late[times[late] >= start_ns - _UNREAD_NS]
+                self.uncertain[row[late[events.unanswered[late]]]] = True
 
 
 def count_unreached(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tuple[int, int]:
@@ -105,37 +160,6 @@ def count_unreached(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tupl
     number = max(len(errors_ns), min(between, flow.datagrams))
     is_shut = 2 * int(steps[1:-1].sum()) > int(steps.sum()) or 2 * len(errors_ns) > flow.datagrams
     return number, max(0, flow.datagrams - number) * is_shut
-
-
-def find_unreachable(
-    rows: Rows, recorder: ErrorRecorder, endpoints: Sequence[Endpoint], translated: Mapping[str, str]
-) -> Unreachable:
-    """Return the datagrams of a capture that reached nobody.
-
-    Args:
-        rows: table of datagrams, in order of time.
-        recorder: recorder of the errors.
-        endpoints: endpoints that ``source`` and ``destination`` of the rows index.
-        translated: address to its other name on the inner side of an address translation.
-    """
-    errors = recorder.errors()
-    marks = Unreachable(np.zeros(len(rows), bool), np.zeros(len(rows), bool), np.zeros(len(rows), bool))
-    if not len(errors.print) or not len(rows):
-        return marks
-    number = {endpoint: at for at, endpoint in enumerate(endpoints)}
-    same = [replace(item, address=translated.get(item.address, item.address)) for item in endpoints]
-    names = np.array([number.get(item, at) for at, item in enumerate(same)])
-    errors = errors._replace(source=names[errors.source], destination=names[errors.destination])
-    row = _quoted(rows, errors)
-    marks.refused[row[(row >= 0) & ~errors.closed]] = True
-    closing, own = errors.take(errors.closed), row[errors.closed]
-    marks.closed[own[own >= 0]] = True
-    times, sources = recorder.voices()[:2]
-    events = _events(rows, closing, own, marks.closed, (times, names[sources]))
-    spans = _spans(events, _telling(rows, closing, events, endpoints), endpoints, marks)
-    marks.refused[marks.closed] = False
-    marks.uncertain[marks.closed | marks.refused] = False
-    return Unreachable(marks.closed, marks.refused, marks.uncertain, spans)
 
 
 def _quoted(rows: Rows, errors: PortErrors) -> Integers:
@@ -168,7 +192,7 @@ class _Events(NamedTuple):
         time_ns: i64 (n,), time of the event; of an error the time of its datagram, if that was captured.
         row: i64 (n,), row of the datagram, or of the quoted one; -1 if there is none.
         kind: (n,), ``_DATAGRAM`` to the port, ``_ERROR`` about it, or ``_VOICE``: a datagram from it.
-        error: i64 (n,), index of an error among the errors; else meaningless.
+        source: i64 (n,), endpoint that sent the datagram, or the quoted one; of a voice the port itself.
         unanswered: bool (n,), a datagram without an error.
     """
 
@@ -176,7 +200,7 @@ class _Events(NamedTuple):
     time_ns: Integers
     row: Integers
     kind: Integers
-    error: Integers
+    source: Integers
     unanswered: Mask
 
 
@@ -185,28 +209,28 @@ def _events(
 ) -> _Events:
     to, out = (np.flatnonzero(np.isin(end, errors.destination)) for end in (rows.destination, rows.source))
     heard = np.isin(voices[1], errors.destination)
+    spoke = rows.source[out], voices[1][heard]
     port: Integers
-    port = np.concatenate((rows.destination[to], errors.destination, rows.source[out], voices[1][heard]))
+    port = np.concatenate((rows.destination[to], errors.destination, *spoke))
     when = np.where(quoted >= 0, rows.time_ns[quoted], errors.time_ns)
     times = np.concatenate((rows.time_ns[to], when, rows.time_ns[out], voices[0][heard]))
-    kind = np.repeat([0, 1, 2], [len(to), len(quoted), len(out) + int(heard.sum())])
+    kind = np.repeat([_DATAGRAM, _ERROR, _VOICE], [len(to), len(quoted), len(out) + int(heard.sum())])
     row = np.concatenate((to, quoted, np.full(int((kind == _VOICE).sum()), -1)))
+    source: Integers
+    source = np.concatenate((rows.source[to], errors.source, *spoke))
     order = np.lexsort((kind, times, port))
     row, kind = row[order], kind[order]
     unanswered = (kind == _DATAGRAM) & ~closed[row]
-    return _Events(port[order], times[order], row, kind, order - len(to), unanswered)
+    return _Events(port[order], times[order], row, kind, source[order], unanswered)
 
 
-def _telling(rows: Rows, errors: PortErrors, events: _Events, endpoints: Sequence[Endpoint]) -> Mask:
+def _telling(events: _Events, endpoints: Sequence[Endpoint]) -> Mask:
     """Return for which events the host would have sent an error to a closed port: bool (n,) (rule 3)."""
     host = number_hosts(endpoints)
     loops = np.array([ipaddress.ip_address(item.address).is_loopback for item in endpoints])
     at = np.flatnonzero(events.kind != _VOICE)
     is_error = events.kind[at] == _ERROR
-    source = np.zeros(len(at), np.int64)
-    source[is_error] = errors.source[events.error[at[is_error]]]
-    source[~is_error] = rows.source[events.row[at[~is_error]]]
-    _, pair = numbered(host[events.port[at]], host[source])
+    _, pair = numbered(host[events.port[at]], host[events.source[at]])
     order = np.lexsort((is_error, events.time_ns[at], pair))
     pair, times, is_error = pair[order], events.time_ns[at[order]], is_error[order]
     last = np.maximum.accumulate(np.where(is_error, np.arange(len(at)), -1))
@@ -228,43 +252,3 @@ def _signs_of_life(events: _Events, telling: Mask) -> Mask:
     answered = has_next & events.unanswered[following]
     alone = (events.kind == _VOICE) & (answered | ~has_next)
     return np.asarray(alone | (events.unanswered & telling & answered))
-
-
-def _spans(
-    events: _Events, telling: Mask, endpoints: Sequence[Endpoint], marks: Unreachable
-) -> list[ClosedSpan]:
-    """Return the times in which ports were closed; mark the datagrams of rules 3 and 4 in ``marks``."""
-    port, times, row = events[:3]
-    voice, error = np.flatnonzero(events.kind == _VOICE), events.kind == _ERROR
-    life = _signs_of_life(events, telling)
-    fresh = np.ones(len(port), bool)
-    fresh[1:] = port[1:] != port[:-1]
-    bounds = np.append(np.flatnonzero(life | fresh), len(port))
-    spans = []
-    for place in np.flatnonzero(np.add.reduceat(error, bounds[:-1])).tolist():
-        begin, end = bounds[place : place + 2].tolist()
-        own = np.flatnonzero(error[begin:end]) + begin
-        first, last = int(own[0]), int(own[-1])
-        number = int(port[begin])
-        voices = voice[slice(*np.searchsorted(port[voice], [number, number + 1]))]
-        back = end < len(port) and port[end] == number
-        before = voices[voices < first]
-        steps = np.diff(times[before])
-        silent = len(steps) >= _VOICES and not ((voices > first) & (voices < end)).any()
-        span = ClosedSpan(
-            endpoints[number],
-            int(times[first]),
-            int(times[last]),
-            int(times[end]) if back else NEVER,
-            len(own),
-            int(steps.mean()) if silent else 0,
-        )
-        spans.append(span)
-        free = np.flatnonzero(events.unanswered[first:end]) + first
-        marks.closed[row[free[(free < last) & ~telling[free]]]] = True
-        marks.uncertain[row[free]] = True
-        if span.step_ns and span.start_ns - times[before[-1]] <= _REGULAR * span.step_ns:
-            late = np.arange(before[-1], first)
-            late = late[times[late] >= span.start_ns - _UNREAD_NS]
-            marks.uncertain[row[late[events.unanswered[late]]]] = True
-    return spans

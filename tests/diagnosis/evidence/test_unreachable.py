@@ -16,7 +16,7 @@ from truth import FOLDER, diagnosed, sums
 
 from edoras_tools.diagnosis.evidence.port_errors import PortErrors
 from edoras_tools.diagnosis.evidence.table import Rows
-from edoras_tools.diagnosis.evidence.unreachable import find_unreachable
+from edoras_tools.diagnosis.evidence.unreachable import Unreachable
 from edoras_tools.model import Endpoint
 
 SECOND, MS = 10**9, 10**6
@@ -57,7 +57,7 @@ def rows_of(sent):
 
 
 def found_in(sent, errors, voices=(), ends=LOOP):
-    return find_unreachable(rows_of(sent), Errors(errors, voices), ends, {})
+    return Unreachable(rows_of(sent), Errors(errors, voices), ends, {})
 
 
 def every(step_ms, count, receiver=ROBOT, number=1):
