@@ -128,28 +128,32 @@ class Connection:
         peer: identity of the peer, as ``66:3``.
         observer: identity of the cFS that sees it.
         changes: states of the peer, in order of time.
+        heard: rows that the peer sent to the observer.
+        sent: rows that the observer sent to the peer.
         sent_ns: i64, capture times of application messages that the observer sent to it.
+        said_ns: i64, capture times of all that the observer sent to it.
         restarts: restarts of the peer before a time-out, in order.
         heard_ns: i64, capture times of all that the peer sent to the observer.
         seldom_ns: time within which it surely sends something, a heartbeat at least.
+        streamed: whether it speaks over TCP.
     """
 
     def __init__(
         self, ends: tuple[SbnParty, SbnParty], rows: Rows, heard: Places, sent: Places, network: Network
     ) -> None:
         self.peer, self.observer = (name for name, _ in ends)
-        self._rows, self._heard, self._outages = rows, heard, network.outages
+        self._rows, self.heard, self.sent, self._outages = rows, heard, sent, network.outages
         self.heard_ns, self._kinds = rows.time_ns[heard], rows.sbn_msg_type[heard]
-        self._said_ns, said = rows.time_ns[sent], rows.sbn_msg_type[sent]
-        app, subs = sent[said == sbn.MsgType.APP], self._said_ns[said == sbn.MsgType.SUB]
+        self.said_ns, said = rows.time_ns[sent], rows.sbn_msg_type[sent]
+        app, subs = sent[said == sbn.MsgType.APP], self.said_ns[said == sbn.MsgType.SUB]
         self.sent_ns = rows.time_ns[app]
         self._answers = self.heard_ns[self._kinds == sbn.MsgType.PROTO]
         self.seldom_ns, self._timeout_ns = network.seldom_ns, network.timeout_ns
-        self._streamed = bool(rows.streamed[heard].any())
+        self.streamed = bool(rows.streamed[heard].any())
         to_connected = sent[np.isin(said, _TO_CONNECTED)]
         greeted = (rows.sbn_msg_type[to_connected[:1]] == sbn.MsgType.PROTO).any()
         first = int(np.append(to_connected if greeted else sent, heard)[0])
-        self.changes = self._states(first, _disconnect_spans(self._said_ns, said))
+        self.changes = self._states(first, _disconnect_spans(self.said_ns, said))
         self._believe()
         self._add_unseen(subs, rows.missing[app[1:]])
         quiet = [at for at, own in enumerate(self.changes) if own.state == "silent"]
@@ -189,7 +193,7 @@ class Connection:
             farewells: result of ``_disconnect_spans``.
         """
         timeout, silent = self._timeout_ns, self.seldom_ns
-        if self._streamed:
+        if self.streamed:
             timeout = silent = _NEVER
         begin_ns, alive_ns, end_ns = self._rows.time_ns[[0, first, -1]].tolist()
         begins = self._rows.sbn_msg_type[first] == sbn.MsgType.PROTO
@@ -239,8 +243,8 @@ class Connection:
 
         It was not there where it sent nothing since, so that its peer's silence then tells nothing.
         """
-        before = np.ptp(np.searchsorted(self._said_ns, (when - self.seldom_ns, when)))
-        return bool(before and when < self._said_ns[-1])
+        before = np.ptp(np.searchsorted(self.said_ns, (when - self.seldom_ns, when)))
+        return bool(before and when < self.said_ns[-1])
 
     def _away(self, start_ns: int, end_ns: int) -> int:
         """Return how much of a span, ns, nothing could be captured."""
@@ -286,7 +290,7 @@ class Connection:
         """
         times, answers = self.heard_ns, self._answers
         steps = np.diff(times)
-        if len(steps) < _LEAST_STEPS or self._streamed:
+        if len(steps) < _LEAST_STEPS or self.streamed:
             return []
         usual_ns = int(np.quantile(steps, 0.95))
         subs = np.flatnonzero(self._kinds == sbn.MsgType.SUB)
@@ -310,9 +314,9 @@ class Connection:
             if repeats:
                 # Who answers some of what it was sent before had stood still, though its socket kept not all.
                 late = self._late_answers(end_ns) > min(_LEAST_ROWS, number // 2)
-                if late or not answering or 2 * (len(self._said_ns) - len(answers)) < number:
+                if late or not answering or 2 * (len(self.said_ns) - len(answers)) < number:
                     continue
-            around = int(self._heard[place]), int(self._heard[again[0]])
+            around = int(self.heard[place]), int(self.heard[again[0]])
             restarts.append(PeerRestart(start_ns, start_ns + usual_ns, end_ns, around, read_ns))
         return restarts
 
@@ -324,7 +328,7 @@ class Connection:
         before = np.maximum(np.searchsorted(self.heard_ns, back_ns) - 1, 0)
         until_ns = back_ns + _STILL_NS + back_ns - int(self.heard_ns[before])
         answers = self._answers[slice(*np.searchsorted(self._answers, (back_ns, until_ns)))]
-        asked = np.searchsorted(self._said_ns, answers, "right") - np.searchsorted(self._said_ns, back_ns)
+        asked = np.searchsorted(self.said_ns, answers, "right") - np.searchsorted(self.said_ns, back_ns)
         return int((np.arange(1, len(answers) + 1) - asked).max(initial=0))
 
 

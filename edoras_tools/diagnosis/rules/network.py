@@ -167,14 +167,11 @@ def sbn_tcp_overwritten(case: Case) -> Iterator[Verdict]:
     read last (``Recv`` in ``sbn_tcp_if.c`` of nasa/SBN). So a message is in danger if one of another
     connection came in the same wake-up.
     """
-    rows, names = case.rows, case.network.identity_of
-    heard = np.flatnonzero((rows.link == SBN) & rows.streamed & (rows.sbn_msg_type >= 0))
-    for observer in sorted(set(names.values())):
-        ends = [end for end, name in names.items() if name == observer]
-        own = heard[np.isin(rows.destination[heard], ends)]
-        peers = {names[end] for end in np.unique(rows.source[own]).tolist() if end in names}
-        app = own[rows.sbn_msg_type[own] == sbn.MsgType.APP]
-        beside = app[_beside(rows, app, own, case.profile.sbn_wake_ns)]
+    rows, streamed = case.rows, (item for item in case.network.connections.values() if item.streamed)
+    for observer, own in by_key(streamed, lambda item: item.observer).items():
+        peers, heard = {item.peer for item in own}, np.sort(np.concatenate([item.heard for item in own]))
+        app = heard[rows.sbn_msg_type[heard] == sbn.MsgType.APP]
+        beside = app[_beside(rows, app, heard, case.profile.sbn_wake_ns)]
         if len(peers) < 2 or not len(beside):
             continue
         yield warning(

@@ -30,10 +30,10 @@ from msgspec.structs import replace
 from edoras_tools.cfs import executive_services, sbn, software_bus, telemetry_output, time_services
 from edoras_tools.cfs.arguments import SB_MSG_ID, TIME_MSG_ID
 from edoras_tools.cfs.names import housekeeping_of
-from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE, Connection, Network, SbnParty
+from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE, Connection, Network
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
 from edoras_tools.units import SECOND
-from edoras_tools.wire.arrays import Integers, Mask, distinct, numbered
+from edoras_tools.wire.arrays import Mask, distinct, numbered
 from edoras_tools.wire.sbn import MsgType
 
 if TYPE_CHECKING:
@@ -239,7 +239,6 @@ def _boot(system: int, low_ns: int, high_ns: int, witness: str) -> Iterator[Chan
 
 
 _WAKE_NS: Final = SECOND
-_Ends = tuple[SbnParty, SbnParty]
 
 
 def network_changes(
@@ -256,12 +255,13 @@ def network_changes(
     """
     pairs = [*zip(instances.items, instances.systems, strict=True)][::-1]
     systems = {(item.name, item.host): system for item, system in pairs}
-    for (peer, observer), connection in network.connections.items():
+    for (_, observer), connection in network.connections.items():
         system = systems.get(observer, 0)
         yield from _peer(connection, system, int(rows.time_ns[0]))
-        yield from _goodbyes(rows, network, (peer, observer), system, software)
+        speaks = [place for place in distinct(rows.source).tolist() if network.party(place) == observer]
+        yield from _goodbyes(rows, np.isin(rows.source, speaks), connection, system, software)
         ended_ns = [item.not_before_ns for item in software if (item.state, item.system) == ("down", system)]
-        yield from _subscriptions(rows, payloads, network, (peer, observer), system, ended_ns)
+        yield from _subscriptions(rows, payloads, connection, system, ended_ns)
 
 
 def capture_changes(away: Sequence[tuple[int, int]]) -> Iterator[Change]:
@@ -273,18 +273,6 @@ def capture_changes(away: Sequence[tuple[int, int]]) -> Iterator[Change]:
     for start_ns, end_ns in away:
         for state, when in (("away", start_ns), ("back", end_ns)):
             yield Change(EVERY, StateOwner("capture"), state, when, when, "nothing was captured meanwhile")
-
-
-def _between(rows: Rows, network: Network, at: Integers, peer: SbnParty, observer: SbnParty) -> Mask:
-    """Return which of the rows ``at`` one party sent to another: bool."""
-    sources, destinations = (column[at].astype(np.int64) for column in (rows.source, rows.destination))
-    return _is_of(network, sources, peer) & _is_of(network, destinations, observer)
-
-
-def _is_of(network: Network, endpoints: Integers, party: SbnParty) -> Mask:
-    """Return which numbers of endpoints are of a party: bool."""
-    own = [place for place in distinct(endpoints).tolist() if network.party(place) == party]
-    return np.isin(endpoints, own)
 
 
 def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change]:
@@ -301,19 +289,19 @@ def _peer(connection: Connection, system: int, begin_ns: int) -> Iterator[Change
 
 
 def _goodbyes(
-    rows: Rows, network: Network, ends: _Ends, system: int, software: Sequence[Change]
+    rows: Rows, speaks: Mask, connection: Connection, system: int, software: Sequence[Change]
 ) -> Iterator[Change]:
     """Yield the changes of a cFS's SBN application that ended after a DISCONNECT to its peer.
 
     Args:
         rows: table of datagrams.
-        network: connections of all peers.
-        ends: the peer and the observer, whose SBN it is.
+        speaks: bool (rows,), the datagram is from the observer, whose SBN it is.
+        connection: connection of the peer.
         system: number of the observer.
         software: changes of each cFS and its applications, which show whether SBN was commanded to end.
     """
-    subject, changes = StateOwner("app", sbn.NAME), network.connections[ends].changes
-    speaks = _is_of(network, rows.source.astype(np.int64), ends[1]) & (rows.sbn_msg_type >= 0)
+    subject, changes = StateOwner("app", sbn.NAME), connection.changes
+    speaks = speaks & (rows.sbn_msg_type >= 0)
     # It leaves one peer after the other.
     words = np.flatnonzero(speaks & (rows.sbn_msg_type != MsgType.DISCONNECT))
     said_ns, greets = rows.time_ns[words], np.isin(rows.sbn_msg_type[words], (MsgType.PROTO, MsgType.SUB))
@@ -331,23 +319,20 @@ def _goodbyes(
 
 
 def _subscriptions(
-    rows: Rows, payloads: Payloads, network: Network, ends: _Ends, system: int, ended_ns: Sequence[int]
+    rows: Rows, payloads: Payloads, connection: Connection, system: int, ended_ns: Sequence[int]
 ) -> Iterator[Change]:
     """Yield the changes of a peer's subscriptions: by its messages, and by what the observer sends to it.
 
     Args:
         rows: table of datagrams.
         payloads: contents of SUB and UNSUB messages.
-        network: connections of all peers.
-        ends: the peer and the observer.
+        connection: connection of the peer.
         system: number of the observer.
         ended_ns: last times before boots of the observer, which forgets the lists of its peers.
     """
-    (peer, _), changes, listed = ends[0], network.connections[ends].changes, payloads.subscriptions
-    every = np.flatnonzero(rows.sbn_msg_type >= 0)
-    every = every[_between(rows, network, every, *ends[::-1])]
-    sent, said_ns = every[rows.sbn_msg_type[every] == MsgType.APP], rows.time_ns[every]
-    own, theirs = (_between(rows, network, listed["row"], *pair) for pair in (ends, ends[::-1]))
+    peer, changes, listed = connection.peer, connection.changes, payloads.subscriptions
+    sent, said_ns = connection.sent[rows.sbn_msg_type[connection.sent] == MsgType.APP], connection.said_ns
+    own, theirs = (np.isin(listed["row"], some) for some in (connection.heard, connection.sent))
     idents = {payloads.contents[index].ident for index in listed["said"][theirs].tolist()}
     # The observer refuses a list with another $Id than its own.
     own &= np.array([not idents or item.ident in idents for item in payloads.contents], bool)[listed["said"]]
