@@ -359,8 +359,6 @@ def published_at(case: Case, stream: Stream) -> Integers:
     # at once, a steady stream goes on during the pause.
     pause_ns = np.append(np.diff(when), 0)
     inside = np.repeat((pause_ns > _PAUSE * case.profile.to_wake_ns) & (counts > 1), counts)
-    if not inside.any():
-        return times
     whole = np.flatnonzero(counts[:-1] == 1)
     if len(whole):
         before = sliding_window_view(np.pad(pause_ns[whole], (_STEPS - 1, 0), "edge"), _STEPS)

@@ -23,15 +23,7 @@ from edoras_tools.cfs import sbn
 from edoras_tools.diagnosis.accounting.closed import UDP_PORT
 from edoras_tools.diagnosis.accounting.losses import BUS
 from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
-from edoras_tools.diagnosis.ledger import (
-    APPLICATION,
-    CAPTURE,
-    CI_HOP,
-    ENDINGS,
-    NOT_COUNTED,
-    Row,
-    summed,
-)
+from edoras_tools.diagnosis.ledger import APPLICATION, CAPTURE, CI_HOP, ENDINGS, NOT_COUNTED, Row, summed
 from edoras_tools.links.bare import CI, ROBOT, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE
@@ -163,7 +155,8 @@ def headlines(rows: Iterable[Row], topics: Mapping[int, str]) -> list[Headline]:
         alike = on[item.topic, link]
         place = [link.upper()] * (alike < of[item.topic]) + [instance or "cFS"] * (alike > 1)
         lines.append(item._replace(instance=", ".join(place) or None))
-    return sorted(lines, key=lambda item: -item.missing)
+    figures = "all_lost", "unaccounted", "superseded"
+    return sorted(lines, key=lambda item: [-sum(getattr(x, name) for x in item.rows) for name in figures])
 
 
 PUBLISHER: Final = "publisher to ground bridge"

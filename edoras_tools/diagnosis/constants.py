@@ -52,17 +52,12 @@ def find_round(times: Integers) -> int | None:
     Args:
         times: i64 (n,), times of the messages, ns, in order.
     """
-    if len(times) < _LEAST:
-        return None
-    steps = np.diff(times)
-    steps = np.diff(times[np.concatenate(([True], steps > _BURST_NS))])
+    steps = np.diff(times[np.diff(times, prepend=times[:1] - 2 * _BURST_NS) > _BURST_NS])
     steps = steps[steps < 5 * SECOND]
     if len(steps) < _LEAST:
         return None
-    first = float(np.quantile(steps, _OFTEN / 2))
+    first = int(np.quantile(steps, _OFTEN / 2, method="higher"))
     own = steps[np.abs(steps - first) < 2 * _NEAR * first]
-    if not len(own):
-        return None
     period = float(np.median(own))
     own = steps[np.abs(steps - period) < _NEAR * period]
     ratio = steps[steps < (_MULTIPLES + 0.5) * period] / period

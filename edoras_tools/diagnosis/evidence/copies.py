@@ -140,8 +140,6 @@ def find_copies(
     two_places = _of_most(conversation, order[same], np.flatnonzero(once))
     far &= two_places  # their clocks differ
     near |= far[1:]
-    if not near.any():
-        return out
     # A group is a run of equal datagrams, each near the one before it.
     group = np.concatenate(([0], np.cumsum(~near)))
     out.at_once[order[1:]] = near & (step == 0)

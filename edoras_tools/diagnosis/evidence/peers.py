@@ -385,8 +385,6 @@ class Network:
         self.timeout_ns = profile.sbn_timeout_s * SECOND
         self.seldom_ns = (profile.sbn_heartbeat_s + 1) * SECOND
         network = np.flatnonzero(rows.on(lambda link: link.peers) & (rows.sbn_msg_type >= 0))
-        if not len(network):
-            return
         self._identify(rows, network)
         flight_software = {item.name for item in instances.items if item.name}
         # Cut frames have no mission time, but only a cFS uses sequence counts: bridges never do.

@@ -206,8 +206,6 @@ def _doubled(
     """
     pairs = copies.find_copies(rows.time_ns, rows.identification, rows.way(), rows.tap, rows.bytes_print)
     pairs = pairs._replace(copy=pairs.copy & ~pairs.steady, duplicate=pairs.duplicate | pairs.steady)
-    if not pairs.duplicate.any():
-        return pairs.copy, pairs.duplicate, pairs.duplicate, *pairs[4:]
     who = copies.who_doubled(rows, pairs, payloads.ingest, sources, endpoints)
     if any(item.doubled for item in proxied.values()):
         # The proxy's log shows repeated datagrams.
@@ -279,8 +277,6 @@ def _disordered(rows: Rows) -> int:
     steps = np.diff(rows.time_ns)
     back = np.flatnonzero(steps < 0)
     far = back[steps[back] < -SECOND]
-    if not len(back):
-        return 0
     seldom = len(back) * SCATTERED < len(rows)
     return 0 if seldom and 0 < len(far) <= _MOST_SET and not _mission_times_go_back(rows, far) else len(back)
 

@@ -176,8 +176,6 @@ def _forward_only(rows: Rows) -> tuple[Rows, list[Jump]]:
     """Return the rows without backward steps of the capture clock, and these steps (rule 1)."""
     steps = np.diff(rows.time_ns)
     back = np.flatnonzero(steps < -_BACK_NS)
-    if not len(back):
-        return rows, []
     usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 0
     moved = np.zeros(len(rows), np.int64)
     moved[back + 1] = usual - steps[back]
