@@ -33,7 +33,7 @@ from edoras_tools.diagnosis.accounting.commands import Commands
 from edoras_tools.diagnosis.accounting.content import judge_contents
 from edoras_tools.diagnosis.accounting.losses import TAIL_NS
 from edoras_tools.diagnosis.accounting.pipes import measured_depth
-from edoras_tools.diagnosis.constants import learn_constants
+from edoras_tools.diagnosis.constants import Constants
 from edoras_tools.diagnosis.evidence.clocks.steady import without_steps
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.diagnosis.evidence.loss_reports import reported_losses, tracks
@@ -175,7 +175,7 @@ class Case:
         ledger: fates of all messages; the rules about single messages have to run before.
     """
 
-    constants = cached_property(learn_constants)
+    constants = cached_property(Constants)
     quality = cached_property(assess_quality)
     ingests = cached_property(ingest.ingests)
     outages = cached_property(closed.outages)

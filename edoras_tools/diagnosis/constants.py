@@ -14,7 +14,7 @@ Rules:
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from msgspec.structs import replace
@@ -25,7 +25,7 @@ from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays import Integers, groups
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.table import Rows
@@ -65,8 +65,12 @@ def find_round(times: Integers) -> int | None:
     return None if len(own) < _OFTEN * len(steps) or fits.mean() < _NEARLY_ALL else int(period)
 
 
-class Constants(NamedTuple):
-    """The constants of a capture's flight side.
+class Constants:
+    """The constants of a capture's flight side: those that it shows, else the assumed ones.
+
+    Args:
+        case: its rows, streams, hops, tracks and reported losses. Whatever follows from constants is not
+            asked for.
 
     Attributes:
         profile: all constants: learned, else assumed.
@@ -74,39 +78,28 @@ class Constants(NamedTuple):
         learned: names of constants, and MsgIds of limits, that the capture, the mission or an option shows.
     """
 
-    profile: SimProfile
-    rounds: Mapping[str, int]
-    learned: frozenset[str | int]
-
-
-def learn_constants(case: Case) -> Constants:
-    """Return the constants of a capture: those that it shows, else the assumed ones.
-
-    Args:
-        case: its rows, streams, hops, tracks and reported losses. Whatever follows from constants is not
-            asked for.
-    """
-    assumed, rows, streams = case.assumed, case.rows, case.streams
-    down = rows.on(lambda link: link.only_from_cfs)
-    down &= (rows.duplicates == 0) & (rows.reordered == 0)  # in the order of sending
-    sent = [rows.time_ns[own] for _, own in groups(rows.source, np.flatnonzero(down))]
-    output = max(sent, key=len, default=rows.time_ns[:0])
-    every = {"to_wake_ns": find_round(output), "ci_wake_ns": _ingest(rows, case.hops)}
-    rounds = {name: period for name, period in every.items() if period}
-    profile = assumed
-    for name, item in rounds.items():
-        if _usual(assumed, name) and abs(item / getattr(assumed, name) - 1) > _ALIKE:
-            profile = replace(profile, **{name: item})
-    limits = _limits(case) if "to_wake_ns" in rounds else {}
-    names: set[str | int] = {*rounds, *limits, *assumed.stated}
-    profile = replace(profile, to_limits={**assumed.to_limits, **limits})
-    lacking = sum(int(item.missing.sum()) for item in streams if item.link.only_from_cfs)
-    overflows = any(track.growth("pipe_overflows") for track in case.tracks.values())
-    if overflows and lacking > _ALIKE * len(output):
-        depth = _full_round(output)
-        if _usual(assumed, "to_pipe_depth") and 0 < depth < (1 - _ALIKE) * profile.to_pipe_depth:
-            profile, names = replace(profile, to_pipe_depth=depth), names | {"to_pipe_depth"}
-    return Constants(profile, rounds, frozenset(names))
+    def __init__(self, case: Case) -> None:
+        assumed, rows, streams = case.assumed, case.rows, case.streams
+        down = rows.on(lambda link: link.only_from_cfs)
+        down &= (rows.duplicates == 0) & (rows.reordered == 0)  # in the order of sending
+        sent = [rows.time_ns[own] for _, own in groups(rows.source, np.flatnonzero(down))]
+        output = max(sent, key=len, default=rows.time_ns[:0])
+        every = {"to_wake_ns": find_round(output), "ci_wake_ns": _ingest(rows, case.hops)}
+        self.rounds = {name: period for name, period in every.items() if period}
+        learned: dict[str, Any] = {
+            name: period
+            for name, period in self.rounds.items()
+            if _usual(assumed, name) and abs(period / getattr(assumed, name) - 1) > _ALIKE
+        }
+        limits = _limits(case) if "to_wake_ns" in self.rounds else {}
+        lacking = sum(int(item.missing.sum()) for item in streams if item.link.only_from_cfs)
+        overflows = any(track.growth("pipe_overflows") for track in case.tracks.values())
+        if overflows and lacking > _ALIKE * len(output) and _usual(assumed, "to_pipe_depth"):
+            depth = _full_round(output)
+            if 0 < depth < (1 - _ALIKE) * assumed.to_pipe_depth:
+                learned["to_pipe_depth"] = depth
+        self.profile = replace(assumed, to_limits={**assumed.to_limits, **limits}, **learned)
+        self.learned: frozenset[str | int] = frozenset((*self.rounds, *learned, *limits, *assumed.stated))
 
 
 def _limits(case: Case) -> dict[int, int]:

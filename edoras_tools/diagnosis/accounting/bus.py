@@ -43,7 +43,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.diagnosis.accounting.pipes import pressed
 from edoras_tools.diagnosis.evidence.instances import NOBODY
-from edoras_tools.diagnosis.evidence.timeline.table import Way, reasons_for
+from edoras_tools.diagnosis.evidence.timeline.table import Way, reason_text
 from edoras_tools.diagnosis.matching.streams import Span, Stream, full_rounds
 from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.model import Finding
@@ -382,12 +382,11 @@ class Telemetry:
         own = stream.link.only_from_cfs and not stream.is_housekeeping
         alone = not followed if stream.link.peers else own
         way = Way(stream.msg_id, stream.link, case.system(stream))
-        reasons = reasons_for(case.timeline, way, span.start_ns, span.end_ns, case.at) if alone else ()
-        for stop, text in reasons:
+        for stop in case.timeline.blocking(way, span.start_ns, span.end_ns) if alone else ():
             owner, state = stop.change.subject, stop.change.state
             # After a restart Telemetry Output is silent until it is enabled: that is told by itself.
             if owner.kind == "app" and (stream.link.peers or state == "stopped"):
-                return "stopped", owner.name, text
+                return "stopped", owner.name, reason_text(stop, case.at)
         return None
 
     def _make_closed_losses(self, part: Part) -> None:

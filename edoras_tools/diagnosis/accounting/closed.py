@@ -57,7 +57,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 )
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.peers import SAID_GOODBYE
-from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, StateSpan, Way, reasons_for
+from edoras_tools.diagnosis.evidence.timeline.table import NEVER, StateOwner, StateSpan, Way, reason_text
 from edoras_tools.diagnosis.matching.streams import Stream
 from edoras_tools.diagnosis.quality import CONFIDENCE
 from edoras_tools.model import NO_MSG_ID, Finding
@@ -124,7 +124,7 @@ def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
     out |= stream.known_id == EVENT_MSG_ID
     peer = case.network.identity_of.get(stream.receiver, "")
     way = Way(stream.msg_id, stream.link, case.instances.system(case.owner(stream)), peer=peer)
-    for span, _ in reasons_for(case.timeline, way, 0, NEVER, case.at):
+    for span in case.timeline.blocking(way, 0, NEVER):
         subject, state = span.change.subject.kind, span.change.state
         # A peer that did not say so may have subscribed before; SBN that restarts keeps its pipes. To a peer
         # that is only silent SBN sends on.
@@ -521,7 +521,7 @@ def unanswered(case: Case, app: str, system: int, since_ns: int) -> tuple[int, i
         for at in np.flatnonzero(near & (steps > 2 * _SILENT_STEPS * usual)).tolist():
             begin, end = int(times[at]) + late * usual, int(times[at + 1]) - 2 * usual
             way = Way(stream.msg_id, stream.link, system)
-            if not (lacks_control(case, stream) or reasons_for(case.timeline, way, begin, end, case.at)):
+            if not (lacks_control(case, stream) or case.timeline.blocking(way, begin, end)):
                 return begin, end
     return NEVER, NEVER
 
@@ -653,15 +653,15 @@ class Stops:
                 ways.append((way, self._untaken(fate, each, _newest(fate, each, case.profile.sbn_wake_ns))))
         times, gap = stream.time_ns, np.cumsum(fate.arrived)
         closed = [
-            (_CLOSED[reason.span.change.subject.kind], reason, newest)
+            (_CLOSED[span.change.subject.kind], span, newest)
             for way, newest in ways
-            for reason in reasons_for(case.timeline, way, 0, NEVER, case.at)
-            if (way.to_cfs if reason.span.change.subject.kind == "route" else way.link.peers)
-            if reason.span.change.subject.kind in _CLOSED and reason.span.change.state != "silent"
-            if reason.span.change.subject.kind != "app" or _is_sure(case, reason.span)
+            for span in case.timeline.blocking(way, 0, NEVER)
+            if (way.to_cfs if span.change.subject.kind == "route" else way.link.peers)
+            if span.change.subject.kind in _CLOSED and span.change.state != "silent"
+            if span.change.subject.kind != "app" or _is_sure(case, span)
         ]
         for early_ns, until in ((0, "end_lo"), (WAITS_NS, "end_hi")):
-            for (_, kind, hop), (span, text), newest in sorted(closed, key=itemgetter(0)):
+            for (_, kind, hop), span, newest in sorted(closed, key=itemgetter(0)):
                 inside = fate.open & ~fate.newer & (fate.stop < 0)
                 inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
                 if not inside.any():
@@ -673,7 +673,7 @@ class Stops:
                 fate.newer |= (inside | (fate.open & around)) & ~newest
                 inside &= newest
                 fate.no_pipe |= inside
-                self.mark(fate, inside, kind, hop, text)
+                self.mark(fate, inside, kind, hop, reason_text(span, case.at))
 
     def _untaken(self, fate: Fate, hop: Hop, newest: Mask) -> Mask:
         """Return which messages an application sends on, corrected by the count of messages nobody received.

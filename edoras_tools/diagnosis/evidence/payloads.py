@@ -104,21 +104,12 @@ class Samples(msgspec.Struct):
         whole[1] = time_ns[whole[0]]
         return replace(self, _parts=[whole])
 
-    def ordered(self, widths: Mapping[str, int]) -> Self:
-        """Return the samples with counters in the likelier byte order: that in which they change least.
-
-        Args:
-            widths: column to the bytes of its counter, without columns of one byte.
-        """
+    def ordered(self, size: int, *names: str) -> Self:
+        """Return the samples with counters of ``size`` bytes in the byte order in which they change least."""
         whole = self._whole().copy()
-        places = [self.names.index(name) for name in widths]
+        places = [self.names.index(name) for name in names]
         own = whole[places]
-        other = np.stack(
-            [
-                column.astype(f"<u{size}").byteswap().astype(np.int64)
-                for column, size in zip(own, widths.values(), strict=True)
-            ]
-        )
+        other = own.astype(f"<u{size}").byteswap().astype(np.int64)
         steps, turned = (int(np.abs(np.diff(columns)).sum()) for columns in (own, other))
         if not steps or turned * _FEWER > steps:
             return self
@@ -338,8 +329,8 @@ class Payloads(msgspec.Struct):
         """Return the payloads with counters in the byte order of their cFS, which their growth shows."""
         return replace(
             self,
-            housekeeping=self.housekeeping.ordered({"pipe_overflows": 2, "msg_limits": 2}),
-            ingest=self.ingest.ordered({"packets": 4, "errors": 4}),
+            housekeeping=self.housekeeping.ordered(2, "pipe_overflows", "msg_limits"),
+            ingest=self.ingest.ordered(4, "packets", "errors"),
         )
 
     def timed(self, time_ns: Integers) -> Payloads:

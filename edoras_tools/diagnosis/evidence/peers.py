@@ -30,6 +30,8 @@ from edoras_tools.wire.arrays import Integers, Places, by_key, groups, numbered
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from numpy.typing import NDArray
+
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.evidence.table import Rows
 
@@ -339,7 +341,7 @@ def _silence(last: int, timeout: int) -> list[PeerChange]:
     ]
 
 
-def _disconnect_spans(said_ns: Integers, kinds: Integers) -> list[tuple[int, int]]:
+def _disconnect_spans(said_ns: Integers, kinds: NDArray[np.int16]) -> list[tuple[int, int]]:
     """Return when an observer sent DISCONNECT, and from when on it accepted the peer's datagrams again, ns.
 
     The second time is shortly before the observer's next datagram to the peer, because it answers; it is the

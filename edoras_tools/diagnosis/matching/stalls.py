@@ -23,7 +23,6 @@ from edoras_tools.diagnosis.evidence.timeline.table import (
     StateOwner,
     Timeline,
     Way,
-    reasons_for,
 )
 from edoras_tools.units import SECOND
 
@@ -78,7 +77,7 @@ def stalls(
                 item
                 for item in mine
                 if item.time_ns[0] <= start_ns < item.time_ns[-1]
-                if not reasons_for(timeline, Way(item.msg_id, item.link, system), start_ns, end_ns, str)
+                if not timeline.blocking(Way(item.msg_id, item.link, system), start_ns, end_ns)
             ]
             if _published_nothing(instances, own, (start_ns, end_ns), usual_ns):
                 text = f"nothing came of it for {(end_ns - start_ns) / SECOND:.1f} s"

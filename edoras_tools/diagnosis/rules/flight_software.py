@@ -19,7 +19,7 @@ from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss, Outage
 from edoras_tools.diagnosis.advice import LET_RUN
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
-from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way, reasons_for
+from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way
 from edoras_tools.diagnosis.matching.streams import Span, Stream, steady_rate
 from edoras_tools.diagnosis.rules.about import sent_before
 from edoras_tools.diagnosis.rules.pipes import START_AGAIN, revival
@@ -257,7 +257,7 @@ def _explained(case: Case, silence: Silence) -> bool:
     stream, start_ns, end_ns = silence.stream, silence.start_ns, silence.end_ns
     system, name = silence.system, case.network.identity_of.get
     way = Way(stream.msg_id, stream.link, system, stream.is_command, name(stream.receiver, ""))
-    spans = [item.span for item in reasons_for(case.timeline, way, start_ns, end_ns, case.at)]
+    spans = case.timeline.blocking(way, start_ns, end_ns)
     if stream.link.peers and stream.is_command:
         sender = StateOwner("peer", name(stream.sender, ""))
         for state in ("silent", "timed_out", "disconnected"):

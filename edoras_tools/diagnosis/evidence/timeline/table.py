@@ -13,7 +13,7 @@ Rules:
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import msgspec
@@ -167,6 +167,16 @@ class Timeline:
         both = [*self.of(StateOwner("entry", "", msg_id), system), *self.of(StateOwner("entry"), system)]
         return sorted(both, key=_BEGIN)
 
+    def blocking(self, way: Way, start_ns: int, end_ns: int) -> list[StateSpan]:
+        """Return the states that may have blocked messages on a path in a span of time, in order."""
+        spans = [
+            span
+            for system, subject, states in _blocking(way)
+            for state in states
+            for span in self.within(subject, state, system, start_ns, end_ns)
+        ]
+        return sorted(spans, key=itemgetter(0, 1))
+
     def every(self, *states: str) -> Iterator[StateSpan]:
         """Yield the spans of all subjects in any of some states."""
         for system, subject in self.subjects:
@@ -235,34 +245,6 @@ class Way(NamedTuple):
     system: int = 0
     to_cfs: bool = False
     peer: str = ""
-
-
-class Reason(NamedTuple):
-    """A span in a state that blocks messages, and the sentence that says so."""
-
-    span: StateSpan
-    text: str
-
-
-def reasons_for(
-    timeline: Timeline, way: Way, start_ns: int, end_ns: int, at: Callable[[int], str]
-) -> list[Reason]:
-    """Return every state that may have blocked messages in a span of time, the earliest first.
-
-    Args:
-        timeline: all states.
-        way: path of the messages.
-        start_ns: time of the first lost message.
-        end_ns: time of the last lost message.
-        at: function that formats a time for people.
-    """
-    reasons = [
-        Reason(span, reason_text(span, at))
-        for system, subject, states in _blocking(way)
-        for state in states
-        for span in timeline.within(subject, state, system, start_ns, end_ns)
-    ]
-    return sorted(reasons, key=lambda item: item.span[:2])
 
 
 def _blocking(way: Way) -> Iterator[tuple[int, StateOwner, Sequence[str]]]:

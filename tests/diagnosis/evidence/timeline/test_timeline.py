@@ -21,7 +21,7 @@ from edoras_tools.diagnosis.evidence.timeline.table import (
     StateOwner,
     Timeline,
     Way,
-    reasons_for,
+    reason_text,
 )
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.bare import CI, TO
@@ -176,7 +176,7 @@ def test_why_messages_do_not_get_through():
     def reasons(name, way, start_s, end_s):
         found = case(name)
         start_ns, end_ns = (found.start_ns + int(at * SECOND) for at in (start_s, end_s))
-        return [item.text for item in reasons_for(found.timeline, way, start_ns, end_ns, found.at)]
+        return [reason_text(span, found.at) for span in found.timeline.blocking(way, start_ns, end_ns)]
 
     name = "p4_apps_stopped"
     assert reasons(name, Way(0x827, TO, peer="66:3"), 46, 54) == []
