@@ -374,15 +374,9 @@ def align_ways(first_ns: Integers, second_ns: Integers, back: Mask) -> Alignment
     """
     if not len(first_ns):
         return None
-    ways = [Ordered(first_ns[way], second_ns[way]) for way in (~back, back)]
-    pairs = [ways[0], ways[1]._replace(back=True)]
-    if back.all():
-        swapped = one_way(second_ns, first_ns)
-        pairs = [
-            item._replace(first_ns=item.second_ns, second_ns=item.first_ns, back=True) for item in swapped
-        ]
-    elif not back.any():
-        pairs = one_way(first_ns, second_ns)
+    pairs = [Ordered(first_ns[~back], second_ns[~back]), Ordered(first_ns[back], second_ns[back], back=True)]
+    if back.all() or not back.any():
+        pairs = one_way(first_ns, second_ns, back=bool(back.all()))
     shift = next(filter(None, (_Estimate.of(pairs, _BOTH, loose_ns) for loose_ns in _LOOSE_NS)), None)
     return shift.since(int(second_ns.min())) if shift else None
 

@@ -133,8 +133,8 @@ def least_of_each(group: Integers, value: Integers) -> Places:
     return order[np.flatnonzero(np.diff(group[order], prepend=-1))]
 
 
-def one_way(first_ns: Integers, second_ns: Integers) -> list[Ordered]:
-    """Return the bounds from packets that all went from the first capture to the second.
+def one_way(first_ns: Integers, second_ns: Integers, *, back: bool = False) -> list[Ordered]:
+    """Return the bounds from packets that all went from the first capture to the second, or all back.
 
     The only lower bound is an assumption: the quickest delays are not longer than delays vary. The lower
     convex hull of all delays gives the two quickest packets: one early, one late.
@@ -143,23 +143,24 @@ def one_way(first_ns: Integers, second_ns: Integers) -> list[Ordered]:
         first_ns: i64 (n,), capture times in the first capture.
         second_ns: i64 (n,), capture times in the second capture.
     """
-    took = second_ns - first_ns
-    tight = _tightest(first_ns, took)
+    sent_ns = second_ns if back else first_ns
+    took = Ordered(first_ns, second_ns, back).took_ns
+    tight = _tightest(sent_ns, took)
     hull: list[int] = []
-    for row in tight[np.lexsort((took[tight], first_ns[tight]))].tolist():
-        while len(hull) > 1 and _above(first_ns, took, hull[-2], hull[-1], row):
+    for row in tight[np.lexsort((took[tight], sent_ns[tight]))].tolist():
+        while len(hull) > 1 and _above(sent_ns, took, hull[-2], hull[-1], row):
             hull.pop()
-        if not hull or first_ns[row] > first_ns[hull[-1]]:
+        if not hull or sent_ns[row] > sent_ns[hull[-1]]:
             hull.append(row)
-    middle = (int(first_ns.min()) + int(first_ns.max())) // 2
-    late = next((at for at, row in enumerate(hull) if first_ns[row] >= middle), len(hull) - 1)
+    middle = (int(sent_ns.min()) + int(sent_ns.max())) // 2
+    late = next((at for at, row in enumerate(hull) if sent_ns[row] >= middle), len(hull) - 1)
     touched = np.array(hull[max(late - 1, 0) : late + 1])
     first, right = int(touched[0]), int(touched[-1])
-    slope = (took[right] - took[first]) / max(first_ns[right] - first_ns[first], 1)
-    vary = int(np.median(took - took[first] - (first_ns - first_ns[first]) * slope))
+    slope = (took[right] - took[first]) / max(sent_ns[right] - sent_ns[first], 1)
+    vary = int(np.median(took - took[first] - (sent_ns - sent_ns[first]) * slope))
     return [
-        Ordered(first_ns, second_ns),
-        Ordered(first_ns[touched], second_ns[touched], wait_ns=max(vary, 0), each=True),
+        Ordered(first_ns, second_ns, back),
+        Ordered(first_ns[touched], second_ns[touched], back, wait_ns=max(vary, 0), each=True),
     ]
 
 
