@@ -305,11 +305,8 @@ def _hops(
 
 def _last_out(rows: Iterable[Row], way: tuple[str, int]) -> int | None:
     """Return the messages that left the last hop of a packet, over all its rows; None without any row."""
-    out: dict[str, int] = {}
-    for row in rows:
-        if (row.link, row.msg_id) == way:
-            out[row.hop] = out.get(row.hop, 0) + row.out
-    return next(reversed(out.values()), None)
+    hops = by_key((row for row in rows if (row.link, row.msg_id) == way), lambda row: row.hop)
+    return sum(row.out for row in [*hops.values()][-1]) if hops else None
 
 
 def _bridge(

@@ -252,12 +252,9 @@ def proxy_faults(case: Case) -> Iterator[Verdict]:
         reason = f"{which}: they are its own recording's once more, and not counted again"
         yield note(reason, "what the proxy dropped is among them", hop=PROXY_HOP, remedy="none")
     for (link, to_cfs, msg_id), item in case.proxied.items():
-        counts = [
-            f"{number:,} {action}"
-            for action, number in (("dropped", len(item.dropped)), ("sent again", item.doubled))
-            if number
-        ]
-        counts += [f"{number:,} struck by {kind}" for kind, number in item.others.items()]
+        struck = {f"struck by {kind}": number for kind, number in item.others.items()}
+        done = {"dropped": len(item.dropped), "sent again": item.doubled} | struck
+        counts = [f"{number:,} {action}" for action, number in done.items() if number]
         way = "to cFS" if to_cfs else "from cFS"
         yield verdict(
             Severity.WARNING if item.dropped else Severity.NOTE,
