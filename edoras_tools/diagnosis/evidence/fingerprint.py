@@ -88,22 +88,12 @@ def of_values(
     """
     columns = types.columns(type_name, data, offset, length)
     plain, stamped = (np.zeros(len(columns), np.uint64) for _ in range(2))
-    texts: list[tuple[str, Any]] = []
-    numeric = False
-    for name, column in columns.fields.items():
-        values = column if isinstance(column, np.ndarray) else column.values
-        if values.dtype == object:
-            texts.append((name, column))
-            continue
-        numeric = True
-        part = _field(name, column)
+    numbers = [name for name, column in columns.fields.items() if _elements(column).dtype != object]
+    for name in numbers or columns.fields:
+        part = _field(name, columns.fields[name])
         stamped += part
         if not name.endswith(("stamp.sec", "stamp.nanosec")):
             plain += part
-    if not numeric:
-        for name, column in texts:
-            plain += _text(name, column)
-        stamped = plain
     plain, stamped = finished(plain), finished(stamped)
     plain[~columns.valid], stamped[~columns.valid] = 0, 0
     return plain, stamped
@@ -167,8 +157,12 @@ def brackets(group: NDArray[Any], opens: Mask) -> tuple[Places, Places]:
     return before[closed], behind[closed]
 
 
+def _elements(column: NDArray[Any] | Ragged) -> NDArray[Any]:
+    return column if isinstance(column, np.ndarray) else column.values
+
+
 def _field(name: str, column: NDArray[Any] | Ragged) -> Prints:
-    """Return the summand of a numeric field in each row's fingerprint, u64 (n,)."""
+    """Return the summand of a field in each row's fingerprint, u64 (n,)."""
     key = np.uint64(crc32(name.encode()) * int(MIX) & 0xFFFFFFFFFFFFFFFF)
     if isinstance(column, np.ndarray):
         flat = column.reshape(len(column), -1)
@@ -211,17 +205,9 @@ def _octets(data: NDArray[np.uint8], offset: Integers, length: Integers, key: np
     return total
 
 
-def _text(name: str, column: NDArray[Any] | Ragged) -> Prints:
-    key = name.encode()
-    rows = (
-        column.tolist()
-        if isinstance(column, np.ndarray)
-        else ["\0".join(column[row].tolist()) for row in range(len(column))]
-    )
-    return np.array([crc32(text.encode("utf-8", "replace"), crc32(key)) for text in rows], np.uint64) * MIX
-
-
 def _bits(values: NDArray[Any]) -> Prints:
+    if values.dtype == object:  # texts
+        return np.array([crc32(text.encode("utf-8", "replace")) for text in values.tolist()], np.uint64)
     if values.dtype.kind == "f":
         with np.errstate(invalid="ignore"):  # an unset field may be NaN
             return (values.astype(np.float64) + 0.0).view(np.uint64)  # 0.0 and -0.0 are one value

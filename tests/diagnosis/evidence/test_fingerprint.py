@@ -17,15 +17,20 @@ def store(tmp_path_factory):
     folder.mkdir(parents=True)
     for kind in KINDS:
         (folder / f"{kind.title()}.msg").write_text(f"{kind}[] data\nint32 last\n")
+    (folder / "Texts.msg").write_text("string one\nstring[] more\n")
     return TypeStore(msg_paths=[folder.parents[1]])
 
 
 def prints(store, kind, rows):
-    cdrs = [store.encode(f"own_msgs/msg/{kind.title()}", {"data": row, "last": 7}) for row in rows]
+    return prints_of(store, f"own_msgs/msg/{kind.title()}", [{"data": row, "last": 7} for row in rows])
+
+
+def prints_of(store, name, messages):
+    cdrs = [store.encode(name, message) for message in messages]
     length = np.array([len(cdr) for cdr in cdrs], np.int32)
     offset = np.cumsum(length, dtype=np.int64) - length
     data = np.frombuffer(b"".join(cdrs) + bytes(64), np.uint8)
-    return of_values(store, f"own_msgs/msg/{kind.title()}", data, offset, length)[0].tolist()
+    return of_values(store, name, data, offset, length)[0].tolist()
 
 
 ROWS = {
@@ -62,3 +67,20 @@ def test_a_row_does_not_depend_on_those_beside_it(store):
     for kind in ("int8", "int16"):
         rows = [row for row in ROWS.values() if all(-128 <= item <= 127 for item in row)]
         assert prints(store, kind, rows) == [prints(store, kind, [row])[0] for row in rows]
+
+
+def test_texts_stand_for_a_message_without_numbers(store):
+    texts = [
+        ("", []),
+        ("a", []),
+        ("", ["a"]),
+        ("a", ["b", "c"]),
+        ("a", ["c", "b"]),
+        ("a", ["bc"]),
+        ("\xe9", []),
+    ]
+    messages = [{"one": one, "more": more} for one, more in texts]
+    found = prints_of(store, "own_msgs/msg/Texts", messages)
+    assert found == prints_of(store, "own_msgs/msg/Texts", messages)
+    assert len(set(found)) == len(texts)
+    assert 0 not in found
