@@ -47,7 +47,7 @@ import numpy as np
 from edoras_tools.decode.conversations import conversation_of
 from edoras_tools.diagnosis.evidence import fingerprint
 from edoras_tools.io.frames.linklayer import network_headers
-from edoras_tools.model import OTHER, Columns, Endpoint, PacketBatch
+from edoras_tools.model import OTHER, Columns, Endpoint, PacketBatch, rate_hz
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays import (
     MIX,
@@ -513,7 +513,8 @@ def crowding(rows: Rows, own: Places, endpoints: Sequence[Endpoint]) -> str:
         endpoints: endpoints that the rows index.
     """
     if times := senders_at_once(rows, own):
-        each = ", ".join(f"{endpoints[source]} at {_hz(at)}" for source, at in times.items())
+        rates = {source: rate_hz(len(at), int(at[-1] - at[0])) for source, at in times.items()}
+        each = ", ".join(f"{endpoints[source]} at {hz:.1f} Hz" for source, hz in rates.items())
         return f"{len(times)} senders sent it at once ({each})"
     return _echoes(rows, own)
 
@@ -578,7 +579,3 @@ def _echoes(rows: Rows, own: Places) -> str:
 def _usual(steps: Integers) -> float:
     """Return the usual time from one message to the next: the 75 % quantile of the steps, ns."""
     return quantiles(steps, 0.75)[0]
-
-
-def _hz(times: Integers) -> str:
-    return f"{(len(times) - 1) * SECOND / max(1, int(times[-1] - times[0])):.1f} Hz"

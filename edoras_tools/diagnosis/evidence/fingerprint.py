@@ -219,7 +219,7 @@ _TYPES: Final = {
     bare.ROBOT_POSE.size: "geometry_msgs/msg/Pose",
 }
 """Length of a datagram to a robot, in bytes, to the ROS type whose numbers it holds."""
-_ENCAPSULATION: Final = b"\0\1\0\0"
+_ENCAPSULATION: Final = 4
 
 
 class SharedFields:
@@ -325,11 +325,10 @@ def robot_prints(batch: PacketBatch, rows: Places, types: TypeStore | None) -> t
         own = np.flatnonzero(length == size)
         if not len(own) or types is None or not types.has(name):
             continue
-        step = len(_ENCAPSULATION) + size
-        data = np.zeros(len(own) * step + PADDING, np.uint8)
-        messages = data[: len(own) * step].reshape(-1, step)
-        messages[:, : len(_ENCAPSULATION)] = np.frombuffer(_ENCAPSULATION, np.uint8)
-        messages[:, len(_ENCAPSULATION) :] = gather(batch.data, batch.offset[rows[own]], size)
+        messages = np.zeros((len(own), _ENCAPSULATION + size), np.uint8)
+        messages[:, 1] = 1  # little-endian
+        messages[:, _ENCAPSULATION:] = gather(batch.data, batch.offset[rows[own]], size)
+        data, step = np.append(messages, np.zeros(PADDING, np.uint8)), messages.shape[1]
         offset = np.arange(len(own), dtype=np.int64) * step
         values[own], _ = of_values(types, name, data, offset, np.full(len(own), step, np.int32))
     return bytes_, values

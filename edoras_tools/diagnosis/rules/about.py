@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from edoras_tools.diagnosis.case import Case
-    from edoras_tools.diagnosis.matching.streams import Stream
     from edoras_tools.wire.arrays import Places
 
 _FEW: Final = 20
@@ -32,11 +31,6 @@ def subject(case: Case, members: Sequence[int] | Places) -> dict[str, Any]:
     msg_id, link = int(case.rows.msg_id[members[0]]), table.link(case.rows.link[members[0]])
     number = msg_id if msg_id != NO_MSG_ID else None
     return {"msg_id": number, "link": link.label, "span": case.span(members)}
-
-
-def stream_subject(case: Case, stream: Stream) -> dict[str, Any]:
-    """Return the same of a stream."""
-    return {"msg_id": stream.msg_id, "link": stream.link.label, "span": case.span(stream.rows)}
 
 
 def one_by_one(members: list[int]) -> list[list[int]]:

@@ -21,7 +21,7 @@ from edoras_tools.diagnosis.accounting.losses import BUS, Fate, Loss
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.diagnosis.ledger import CAUSES
 from edoras_tools.diagnosis.quality import overlapping
-from edoras_tools.diagnosis.rules.about import loss_verdict, lost_at, packet, stream_subject, subject
+from edoras_tools.diagnosis.rules.about import loss_verdict, lost_at, packet, subject
 from edoras_tools.diagnosis.verdict import (
     NOTHING_SENT,
     Severity,
@@ -425,7 +425,7 @@ def unexplained_gap(case: Case) -> Iterator[Verdict]:
         if undecided := case.telemetry.ends[stream]["undecided"]:
             why, remedy = _why_undecided(case, stream)
             reason = f"{undecided:,} of {case.name(stream.msg_id)} may be lost: {why}"
-            about = stream_subject(case, stream) | {"of": len(stream) + undecided, "confidence": "low"}
+            about = subject(case, stream.rows) | {"of": len(stream) + undecided, "confidence": "low"}
             yield warning(reason, *case.drops_text(), **about, remedy=remedy)
 
 
@@ -488,7 +488,7 @@ def superseded(case: Case) -> Iterator[Verdict]:
             f"{number:,} of {len(stream):,} messages on {case.name(stream.msg_id)} gave way to a "
             f"newer one before the application sent {outs}: it takes them in bursts, and the last goes on",
             f"{int(fate.arrived.sum()):,} came out with the same values",
-            **stream_subject(case, stream),
+            **subject(case, stream.rows),
             hop="application",
             remedy="send at most 2 Hz for every command to go on, or count on the newest alone",
             confidence="medium",

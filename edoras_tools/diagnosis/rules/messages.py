@@ -12,7 +12,7 @@ from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.accounting.budget import limit
 from edoras_tools.diagnosis.accounting.ingest import DRAINS_NS
 from edoras_tools.diagnosis.accounting.pipes import more_at_once
-from edoras_tools.diagnosis.rules.about import of_messages, packet, stream_subject, subject
+from edoras_tools.diagnosis.rules.about import of_messages, packet, subject
 from edoras_tools.diagnosis.verdict import About, Confidence, Severity, Verdict, error, note, warning
 from edoras_tools.links import table
 from edoras_tools.links.bare import CI, TO
@@ -336,7 +336,7 @@ def rate_over_limit(case: Case) -> Iterator[Verdict]:
             f"{why}. The capture cannot show how many were lost",
             f"{len(stream):,} commands, one every {usual / 1e6:.1f} ms",
             "no counter of 0x803 then",
-            **stream_subject(case, stream),
+            **subject(case, stream.rows),
             hop=hop,
             of=len(stream),
             remedy=f"send at most {clean:g} Hz; capture TO's link too, UDP port 1235, with 0x803",

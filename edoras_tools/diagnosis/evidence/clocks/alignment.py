@@ -49,6 +49,7 @@ from edoras_tools.diagnosis.evidence.instances import Instances
 from edoras_tools.diagnosis.evidence.relays import pair_up
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows, peer_of
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding
+from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.arrays import MIX, Integers, Mask, Places, Prints, by_value, groups, matches
@@ -226,7 +227,6 @@ def _packets(
 _MOSTLY: Final = 0.9
 _WAKE_NS: Final = 500 * MILLISECOND
 """Longest cycle of a task that sends packets: Telemetry Output's."""
-_MODULUS: Final = 1 << 14
 _SAME_NS: Final = 2 * SECOND
 """Largest difference between two steps of one offset, except for the longest delays."""
 _LONG_NS: Final = 300 * SECOND
@@ -582,7 +582,7 @@ def _by_counts(first: Side, second: Side, coarse: _Estimate | None) -> _Estimate
 
 def _key(rows: Rows, source: Integers, ahead: int) -> Prints:
     """Return a key of each packet, u64 (rows,), from stream and count plus ``ahead``; 0 without a count."""
-    count = (rows.sequence_count.astype(np.int64) + ahead) % _MODULUS
+    count = (rows.sequence_count.astype(np.int64) + ahead) % MODULUS
     key = np.zeros(len(rows), np.uint64)
     for part in (source, rows.link, rows.msg_id, rows.processor_id, rows.spacecraft_id, count):
         key = (key ^ part.astype(np.int64).view(np.uint64)) * MIX

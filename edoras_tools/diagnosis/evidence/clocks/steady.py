@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs import telemetry_output
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
+from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, groups, numbered
 
@@ -40,7 +41,6 @@ _SURE: Final = 4
 """Least number of packets in a window so that one of them had almost no delay."""
 _ALIKE_NS: Final = 20 * MILLISECOND
 """Delays of housekeeping differ by less, unless a peer forwards it or the network is slow."""
-_MODULUS: Final = 1 << 14
 _FURTHEST_NS: Final = 1 << 62
 """A clock with 32 bits of seconds cannot be set by more: then the times are garbled."""
 _NEXT: Final = 16
@@ -268,7 +268,7 @@ def _taken_up(
         if item in last:
             places, lasts = last[item]
             places = places[: np.searchsorted(places, end)]
-            step = (count - lasts[: len(places)]) % _MODULUS
+            step = (count - lasts[: len(places)]) % MODULUS
             common[places] += 1
             goes_on = (step > 0) & (step <= _NEXT)
             matches[places] += goes_on
