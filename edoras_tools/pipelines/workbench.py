@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 from msgspec.structs import replace
 
-from edoras_tools.decode import Context, Options
+from edoras_tools.decode import ColumnDecoder, Context, Dissector, Options
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.mission import Mission
 from edoras_tools.ros import TypeStore
@@ -21,7 +21,6 @@ from edoras_tools.words import did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from edoras_tools.decode import ColumnDecoder, Dissector
     from edoras_tools.io import Source
     from edoras_tools.links.doors import Endpoints, Unwrapper
     from edoras_tools.model import Link, SourceInfo

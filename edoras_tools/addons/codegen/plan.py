@@ -23,14 +23,13 @@ import msgspec
 import numpy as np
 
 from edoras_tools.errors import ConfigError
-from edoras_tools.ros import library
+from edoras_tools.ros import TypeStore, library
 from edoras_tools.ros.cdr.plan import WIDE_UNIT
 from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
-    from edoras_tools.ros import TypeStore
     from edoras_tools.wire.arrays import Integers
 
 _KEYWORDS: Final = frozenset(

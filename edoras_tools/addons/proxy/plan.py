@@ -17,7 +17,7 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer
 from edoras_tools.io.net.sockets import arrives_at
 from edoras_tools.sessions.faults.machine import HEAD_BYTES, Delivery, FaultMachine, FaultPlan
-from edoras_tools.sessions.faults.rules import Rule, RuleScope, make_rule
+from edoras_tools.sessions.faults.rules import Fault, Rule, RuleScope, make_rule
 from edoras_tools.units import SECOND
 from edoras_tools.wire.cfe import STANDARD, Headers
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from edoras_tools.mission import Mission
     from edoras_tools.model import Endpoint, Link
     from edoras_tools.pipelines.workbench import Settings
-    from edoras_tools.sessions.faults.rules import Fault
 
     Send = Callable[[NDArray[np.int64]], None]
 

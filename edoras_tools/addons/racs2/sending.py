@@ -30,7 +30,7 @@ from edoras_tools.io.net.sockets import address_of, bind, local_endpoint, resolv
 from edoras_tools.io.net.transmit import ANSWER_WITHIN_S, SendStatistics, StreamTransmitter
 from edoras_tools.io.topics.messages import RECORD, Messages, bodies_of, whole_messages
 from edoras_tools.links.protocol import LinkSending, SendingSession
-from edoras_tools.model import Columns, Finding, PacketBatch
+from edoras_tools.model import Columns, Endpoint, Finding, Link, PacketBatch
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays import Integers, Mask, Places, by_value, copy_rows, gather
 from edoras_tools.wire.envelope import ENCAPSULATION
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from edoras_tools.links.doors import Framing, TopicSpace
-    from edoras_tools.model import Endpoint, Link
 
 _REQUEST: Final = (
     "GET / HTTP/1.1\r\nHost: racs2\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"

@@ -40,7 +40,7 @@ from edoras_tools.io.frames.frame_batch import (
 from edoras_tools.links.table import framings
 from edoras_tools.model import CutDatagram, Datagram, Endpoint, Finding, PacketBatch, concatenate
 from edoras_tools.units import MILLISECOND
-from edoras_tools.wire.arrays import PADDING, read_at
+from edoras_tools.wire.arrays import PADDING, Integers, Mask, Octets, read_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from edoras_tools.io.frames.tcp import StreamReassembler
     from edoras_tools.links.doors import Framing
     from edoras_tools.model import SourceInfo, SourceStatistics
-    from edoras_tools.wire.arrays import Integers, Mask, Octets
 
 _PROTOCOL_FIELD = {1: (14, 12), 113: (16, 14), 276: (20, 0)}
 """Bytes of the link header, and position of its EtherType: Ethernet, Linux cooked v1 and v2."""

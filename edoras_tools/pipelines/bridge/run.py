@@ -33,7 +33,7 @@ from edoras_tools.io.net.sockets import (
     open_bound,
     own_address,
 )
-from edoras_tools.middleware import Graph, open_graph
+from edoras_tools.middleware import Graph, Qos, open_graph
 from edoras_tools.middleware.graph import TopicState
 from edoras_tools.mission import GroundLink, Route
 from edoras_tools.model import Endpoint, Peer
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.middleware import Qos
     from edoras_tools.pipelines.recorder import RelayRecorder
     from edoras_tools.render.terminal.text import Watcher
 

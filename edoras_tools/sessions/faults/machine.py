@@ -27,7 +27,7 @@ import numpy as np
 from edoras_tools.errors import ConfigError
 from edoras_tools.model import NO_MSG_ID, Link
 from edoras_tools.sessions.faults import effects
-from edoras_tools.sessions.faults.rules import Fault
+from edoras_tools.sessions.faults.rules import Fault, Rule
 from edoras_tools.wire import ccsds, sbn
 from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, MsgIds
 from edoras_tools.wire.cfe import STANDARD, Headers
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from edoras_tools.sessions.faults.rules import Rule
     from edoras_tools.wire.arrays import Integers, Mask, Octets
 
     Predicate = Callable[[bytes, Link], bool]
