@@ -16,7 +16,7 @@ from edoras_tools.mission.bridges import node_of
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.workbench import Settings, Workbench
 from edoras_tools.ros import TypeStore
-from edoras_tools.sessions.bridge.bridge import describe
+from edoras_tools.sessions.bridge import describe
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

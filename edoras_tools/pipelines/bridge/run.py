@@ -39,8 +39,8 @@ from edoras_tools.mission import GroundLink, Route
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.bridge.plan import BridgePlan, BridgeRequest, StationPlan, qos_of, sizes_of
 from edoras_tools.pipelines.reading import on_interrupt, threads_take_turns, watched
-from edoras_tools.sessions.bridge import bridge
-from edoras_tools.sessions.bridge.packets import PacketWriter
+from edoras_tools.sessions import bridge
+from edoras_tools.sessions.bridge import PacketWriter
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays import by_key
 from edoras_tools.wire.envelope import DEFAULT

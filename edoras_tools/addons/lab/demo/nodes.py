@@ -33,7 +33,7 @@ from edoras_tools.io.net.sockets import local_endpoint, open_bound
 from edoras_tools.io.outputs import write_bytes
 from edoras_tools.middleware import Graph, Qos
 from edoras_tools.model import Endpoint
-from edoras_tools.sessions.bridge.packets import Envelope, find_packet
+from edoras_tools.sessions.bridge import Envelope, find_packet
 from edoras_tools.sessions.pacing import Lateness
 from edoras_tools.units import SECOND
 from edoras_tools.wire import envelope, sbn

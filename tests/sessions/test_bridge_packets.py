@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.sessions.bridge.packets import Envelope, PacketWriter, find_packet
+from edoras_tools.sessions.bridge import Envelope, PacketWriter, find_packet
 from edoras_tools.wire import cfe, envelope
 
 CDR = bytes.fromhex("00010000") + bytes(48)

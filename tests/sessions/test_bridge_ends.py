@@ -12,8 +12,14 @@ from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.sending.loop import enable_output
-from edoras_tools.sessions.bridge.bridge import ASK_NS, SILENCE_NS, STEP_NS, FlightSession, GroundSession
-from edoras_tools.sessions.bridge.packets import PacketWriter
+from edoras_tools.sessions.bridge import (
+    ASK_NS,
+    SILENCE_NS,
+    STEP_NS,
+    FlightSession,
+    GroundSession,
+    PacketWriter,
+)
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.sbn import MsgType

@@ -15,16 +15,16 @@ from edoras_tools.links.bare import CI, TO
 from edoras_tools.links.sbn import SBN
 from edoras_tools.mission import Handling, Route
 from edoras_tools.model import Peer
-from edoras_tools.sessions.bridge.bridge import (
+from edoras_tools.sessions.bridge import (
     BridgeOptions,
     BridgeSession,
     FlightSession,
     GroundSession,
     Limit,
     Limiter,
+    PacketWriter,
     Traffic,
 )
-from edoras_tools.sessions.bridge.packets import PacketWriter
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe, envelope, sbn
 
