@@ -24,8 +24,7 @@ from edoras_tools.addons.tui.viewer import Viewer, ViewOptions
 from edoras_tools.decode.lines import line_of
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.sniff import decode_packet
-from edoras_tools.pipelines.doctor.doctor import examine
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope, examine
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.render.capture import tree

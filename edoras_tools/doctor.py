@@ -16,7 +16,7 @@ from edoras_tools.diagnosis.accounting.budget import predict as predict_budgets
 from edoras_tools.diagnosis.examination import Diagnosis, Examination
 from edoras_tools.diagnosis.verdict import Severity, Verdict
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.pipelines.doctor.doctor import examine as examine_source
+from edoras_tools.pipelines.doctor import examine as examine_source
 from edoras_tools.pipelines.workbench import Settings
 
 if TYPE_CHECKING:

@@ -20,8 +20,7 @@ from edoras_tools.addons.runs.views import check_view, runs_view
 from edoras_tools.addons.trace.views import standalone
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.capture.info import inspect
-from edoras_tools.pipelines.doctor.doctor import examine
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope, examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.doctor import screen

@@ -52,7 +52,6 @@ ELSEWHERE = {
     "io/net/*": "io/net/test_transmit.py",
     "links/*": "decode/test_agreement.py",
     "mission/*": "mission/test_mistakes.py",
-    "pipelines/doctor/*": "cli/test_doctor.py",
     "pipelines/sending/*": "pipelines/sending/test_replay.py",
     "io/formats/cfe.py": "cli/test_cfe_files.py",
     "render/doctor.py": "cli/test_doctor.py",

@@ -31,7 +31,7 @@ SAME = (
     ("live_table", "render/* addons/*/views.py", "the view of a command while it runs"),
     ("outcome", "render/* addons/*/views.py", "the view of what a command did"),
     ("plan", "render/*", "the view of what a command would do"),
-    ("examine", "doctor.py pipelines/doctor/doctor.py", "the library's door to the same function"),
+    ("examine", "doctor.py pipelines/doctor.py", "the library's door to the same function"),
     ("predict", "doctor.py diagnosis/accounting/budget.py", "the library's door to the same function"),
 )
 """A name, where it may be defined, and why it means the same there."""

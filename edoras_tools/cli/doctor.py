@@ -21,7 +21,7 @@ from edoras_tools.older import StrEnum
 
 if TYPE_CHECKING:
     from edoras_tools.diagnosis.examination import Diagnosis
-    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.doctor import Scope
     from edoras_tools.pipelines.workbench import Settings
 
 _EVERY_NS = 1_000_000_000
@@ -136,7 +136,7 @@ def _examine(
     *,
     verbose: bool,
 ) -> Diagnosis:
-    from edoras_tools.pipelines.doctor.doctor import Pace, examine
+    from edoras_tools.pipelines.doctor import Pace, examine
     from edoras_tools.render.doctor import LiveVerdicts
 
     json, quiet = printing
@@ -186,7 +186,7 @@ def _list_lost(
     jobs: int,
 ) -> None:
     from edoras_tools.diagnosis.examination import Examination
-    from edoras_tools.pipelines.doctor.doctor import Pace, examine, list_missing
+    from edoras_tools.pipelines.doctor import Pace, examine, list_missing
 
     files = inputs.paths
     if not files or any(str(item) == "-" for item in files):

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from datetime import tzinfo
 
     from edoras_tools.model import Link
-    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.doctor import Scope
     from edoras_tools.pipelines.reading import Limits
     from edoras_tools.pipelines.selection import ClockTime, Period, Selection
     from edoras_tools.pipelines.workbench import Settings
@@ -630,7 +630,7 @@ class ScopeOptions(NamedTuple):
         Raises:
             ConfigError: the end is not after the start.
         """
-        from edoras_tools.pipelines.doctor.scope import Scope
+        from edoras_tools.pipelines.doctor import Scope
 
         return Scope(self.filters.selection(), self.times.period())
 

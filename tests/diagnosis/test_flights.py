@@ -14,7 +14,7 @@ from edoras_tools.diagnosis.rules.about import sent_before
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.pipelines.clocks import open_aligned
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND
 from edoras_tools.wire.sbn import MsgType

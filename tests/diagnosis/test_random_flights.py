@@ -22,7 +22,7 @@ from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.cfs.queues import QueueEnd
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.clocks import open_aligned
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.sessions.sbn import SbnConnection
 from edoras_tools.units import MILLISECOND, SECOND

@@ -29,7 +29,7 @@ from edoras_tools.diagnosis.verdict import Severity
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.bare import TO
 from edoras_tools.model import Endpoint, HostCounters, Peer, SocketCounters
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.faults.rules import Fault

@@ -18,7 +18,7 @@ from edoras_tools.decode import Options
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import table
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.doctor import limits
 from tests.support.balance import arrived, ended, wrong_rows

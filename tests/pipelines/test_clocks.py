@@ -12,7 +12,7 @@ from places import CAPTURES, MISSIONS, ROOT
 from rewriting import datagrams, write
 
 from edoras_tools.pipelines.clocks import open_aligned
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.wire.cfe import FILE_HEADER
 

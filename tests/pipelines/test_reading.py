@@ -16,7 +16,7 @@ from waiting import until
 from edoras_tools.errors import CaptureError, ConfigError, InterruptError
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.clocks import open_aligned
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files

@@ -8,8 +8,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.mcap import chunks, reader
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.doctor.doctor import examine
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope, examine
 from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.pipelines.selection import Period
 from edoras_tools.pipelines.workbench import Settings, open_files

@@ -45,7 +45,7 @@ FEW_AND_LONG = {
     "links/test_installed.py": 8,
     "middleware/test_ros.py": 15,
     "pipelines/capture/test_info.py": 9,
-    "pipelines/doctor/test_doctor.py": 6,
+    "pipelines/test_doctor.py": 6,
     "pipelines/test_ahead.py": 5,
     "pipelines/test_clocks.py": 6,
     "test_budget.py": 9,

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from edoras_tools.decode import Options
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import table
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from edoras_tools.errors import CaptureError, EdorasError, OnFailure
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.older import UTC
 from edoras_tools.pipelines.capture.info import Counting
-from edoras_tools.pipelines.doctor.doctor import Findings, examine
+from edoras_tools.pipelines.doctor import Findings, examine
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:

@@ -215,7 +215,7 @@ def _play(
 ) -> tuple[dict[str, Any], EdorasError | None]:
     """Play a recording; return a summary, and the error if the recording is cut off."""
     from edoras_tools.addons.foxglove import player as playing
-    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.doctor import Scope
     from edoras_tools.pipelines.reading import on_interrupt
     from edoras_tools.render import units
 

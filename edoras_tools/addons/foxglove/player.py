@@ -29,7 +29,7 @@ from edoras_tools.io.formats.capture_file import SettledFile
 from edoras_tools.io.net.sockets import is_loopback
 from edoras_tools.links.table import LinkStates
 from edoras_tools.pipelines.capture.record import CaptureReport, Target, pour, record
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope
 from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.reading import Limits, RunCounter, on_interrupt, reading
 from edoras_tools.pipelines.selection import Selection, outside

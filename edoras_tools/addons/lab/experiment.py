@@ -53,7 +53,7 @@ from edoras_tools.io.outputs import write_bytes
 from edoras_tools.links.table import carrying
 from edoras_tools.mission.tree import Mistakes, ScalarNode, SequenceNode, Tree, named_entries, read_document
 from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.reading import Limits
 from edoras_tools.pipelines.sending.options import Receiver, SendOptions, receiver
 from edoras_tools.pipelines.sending.replay import ReplaySelection, changes_for, load_datagrams

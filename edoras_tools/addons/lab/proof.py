@@ -43,8 +43,7 @@ from edoras_tools.diagnosis.ledger import PEER_RESTARTED, UNHEARD
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.links.table import among
 from edoras_tools.model import Peer
-from edoras_tools.pipelines.doctor.doctor import examine
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope, examine
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.selection import Period
 from edoras_tools.units import MILLISECOND, SECOND

@@ -29,7 +29,7 @@ from edoras_tools.diagnosis.examination import Chapter, Diagnosis, Examination
 from edoras_tools.diagnosis.matching.streams import Stream, bursts, full_rounds
 from edoras_tools.errors import CaptureError
 from edoras_tools.mission import loads
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays import by_key

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.io.formats.columns import TableColumn
-    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.doctor import Scope
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
 

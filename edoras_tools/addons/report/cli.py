@@ -34,7 +34,7 @@ def report(
     """
     from edoras_tools.addons.report.page import page
     from edoras_tools.diagnosis.verdict import group_verdicts
-    from edoras_tools.pipelines.doctor.doctor import examine
+    from edoras_tools.pipelines.doctor import examine
     from edoras_tools.render.pages import Made
 
     files, scope, (json, quiet) = inputs.required(), part.scope(), printing

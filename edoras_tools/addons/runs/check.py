@@ -28,8 +28,7 @@ from edoras_tools.io.topics.messages import APART
 from edoras_tools.mission.tree import Mistakes, printable
 from edoras_tools.model import NO_MSG_ID, rate_hz
 from edoras_tools.pipelines.capture.info import Counting
-from edoras_tools.pipelines.doctor.doctor import Findings, Pace, examine
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Findings, Pace, Scope, examine
 from edoras_tools.pipelines.reading import ReadLoop, reading
 from edoras_tools.pipelines.selection import PATTERN_SIGNS, PacketKinds, Selection, find_packets
 from edoras_tools.render.severity import NOTABLE

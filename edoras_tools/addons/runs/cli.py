@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.runs.run import Run
     from edoras_tools.diagnosis.balance import Chain
     from edoras_tools.io import Source
-    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.doctor import Scope
     from edoras_tools.pipelines.workbench import Settings
 
 
@@ -64,7 +64,7 @@ def check(
     from edoras_tools.addons.runs.expectations import load_expectations
     from edoras_tools.addons.runs.run import Run
     from edoras_tools.io.outputs import check_new
-    from edoras_tools.pipelines.doctor.doctor import Pace
+    from edoras_tools.pipelines.doctor import Pace
 
     scope = part.scope()
     if task.init:
@@ -318,7 +318,7 @@ def bags(
     from edoras_tools.addons.runs.comparison import against_bag, against_capture, bridge_counts
     from edoras_tools.cli.doctor import print_diagnosis
     from edoras_tools.diagnosis.balance import chains
-    from edoras_tools.pipelines.doctor.doctor import Pace, examine
+    from edoras_tools.pipelines.doctor import Pace, examine
 
     files, judged = inputs.paths, None
     if not files and len(others) < 2:

@@ -42,7 +42,7 @@ from edoras_tools.errors import CaptureError, ConfigError, WireError
 from edoras_tools.io.formats.rosbag2.reader import RecordedBlock, Rosbag, open_rosbag
 from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, OTHER, Finding, Link
-from edoras_tools.pipelines.doctor.scope import Chosen, Scope
+from edoras_tools.pipelines.doctor import Chosen, Scope
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.ros.library import full_name
 from edoras_tools.units import MILLISECOND

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from edoras_tools.io import Source
     from edoras_tools.pipelines.capture.ledger import Ledger
     from edoras_tools.pipelines.capture.record import CaptureReport
-    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.doctor import Scope
     from edoras_tools.pipelines.reading import ReadLoop
     from edoras_tools.pipelines.workbench import Settings, Workbench
     from edoras_tools.render.terminal.text import Progress

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.cli.options import PrintOptions
     from edoras_tools.io.formats.columns import TableColumn
-    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.doctor import Scope
     from edoras_tools.pipelines.workbench import Settings
 
 _PACKED = ("", ".gz", ".zst")

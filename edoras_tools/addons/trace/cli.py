@@ -60,8 +60,7 @@ def trace(
     shows that. Exit code 3: it was lost.
     """
     from edoras_tools.addons.trace.tracing import Tracing
-    from edoras_tools.pipelines.doctor.doctor import examine
-    from edoras_tools.pipelines.doctor.scope import Scope
+    from edoras_tools.pipelines.doctor import Scope, examine
 
     files, request = _request(arguments or [], read or [], which)
     scope = Scope(period=times.period())
@@ -235,7 +234,7 @@ def _hop_rates(
     """
     from edoras_tools.addons.trace.rounds import USUAL_WINDOW
     from edoras_tools.addons.trace.tracing import TraceRequest, Tracing
-    from edoras_tools.pipelines.doctor.doctor import Pace, examine
+    from edoras_tools.pipelines.doctor import Pace, examine
 
     interface, listen, duration, _, window = live
     is_live = bool(interface or listen)

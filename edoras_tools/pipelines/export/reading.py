@@ -25,7 +25,7 @@ from edoras_tools.io.formats.columns import TableColumn, TableHead
 from edoras_tools.io.formats.rosbag2.reader import METADATA
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.io.topics.streams import EVENTS_TOPIC
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope
 from edoras_tools.pipelines.export.sources import JUDGED, LOST_TOPIC, VERDICTS_TOPIC, TopicSource, open_topics
 from edoras_tools.pipelines.selection import PATTERN_SIGNS, Period, Selection, fits_topic
 from edoras_tools.pipelines.workbench import Settings

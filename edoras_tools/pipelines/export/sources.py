@@ -29,8 +29,7 @@ from edoras_tools.mission.tree import printable
 from edoras_tools.model import Columns, Finding, PacketBatch
 from edoras_tools.pipelines.capture.ledger import LONGEST_NOTE
 from edoras_tools.pipelines.clocks import open_aligned
-from edoras_tools.pipelines.doctor.doctor import examine, list_missing
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope, examine, list_missing
 from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.pipelines.reading import reading, reads_by_heads
 from edoras_tools.pipelines.workbench import Settings, Workbench, open_files

@@ -31,7 +31,7 @@ from edoras_tools.addons.archive.work import Task, examine_group, fingerprint
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings, open_files
 
 SETTINGS = Settings([MISSIONS / "rover_ground.yaml"])

@@ -30,7 +30,7 @@ from edoras_tools.errors import CaptureError, RouteError
 from edoras_tools.io.formats.open import kept_recording
 from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 

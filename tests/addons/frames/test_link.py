@@ -24,7 +24,7 @@ from edoras_tools.mission import loads
 from edoras_tools.model import Finding
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.wire.transfer_frames import FrameFormat

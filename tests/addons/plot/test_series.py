@@ -20,7 +20,7 @@ from edoras_tools.addons.plot.series import (
 )
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.io.formats.columns import TableColumn
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.ros.cdr.bulk import Ragged

@@ -17,7 +17,7 @@ from edoras_tools.diagnosis.balance import ways
 from edoras_tools.diagnosis.ledger import summed
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.pages import Made
 

@@ -15,7 +15,7 @@ from edoras_tools.addons.rtps.writers import MOST_ASKED, SampleFollower
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.links.doors import Endpoints
 from edoras_tools.pipelines.capture.info import inspect
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.reading import reading
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.sessions.ranges import MOST_RANGES

@@ -18,8 +18,7 @@ from edoras_tools.diagnosis.balance import PEER_TO_ROBOT, PUBLISHER, chains
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
-from edoras_tools.pipelines.doctor.doctor import examine
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope, examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import MILLISECOND, SECOND
 

@@ -8,7 +8,7 @@ from edoras_tools.addons.runs.check import check
 from edoras_tools.addons.runs.expectations import load_expectations
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io import SourceDefaults
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope
 from edoras_tools.pipelines.selection import Period
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.units import SECOND

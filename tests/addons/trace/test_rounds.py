@@ -5,7 +5,7 @@ import pytest
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.simulation import SimulatedSource
 from edoras_tools.addons.trace.rounds import topic_rates
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND
 

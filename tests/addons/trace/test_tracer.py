@@ -14,7 +14,7 @@ from edoras_tools.addons.trace.tracing import Tracer, messages_in, with_ending
 from edoras_tools.diagnosis.matching.crossing import latency_of
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.pipelines.clocks import open_aligned
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 
 FOLDER = ROOT / "tests/captures"

@@ -7,7 +7,7 @@ from places import CAPTURES, MISSIONS
 
 import edoras_tools
 from edoras_tools.diagnosis.examination import Examination
-from edoras_tools.pipelines.doctor.doctor import examine, list_missing
+from edoras_tools.pipelines.doctor import examine, list_missing
 from edoras_tools.pipelines.export.sources import JUDGED, open_topics
 from edoras_tools.pipelines.workbench import Settings, open_files
 

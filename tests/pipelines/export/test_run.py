@@ -19,7 +19,7 @@ import edoras_tools
 from edoras_tools.errors import CaptureError, ConfigError, RouteError
 from edoras_tools.io.formats.table import TimeForm
 from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope
 from edoras_tools.pipelines.export.reading import TableForm
 from edoras_tools.pipelines.export.run import ExportTarget, export
 from edoras_tools.pipelines.export.sources import open_topics

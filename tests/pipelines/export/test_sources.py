@@ -16,7 +16,7 @@ from edoras_tools.io.formats import capture_file
 from edoras_tools.io.formats.columns import TableFile
 from edoras_tools.io.processes import Workers
 from edoras_tools.pipelines.capture.record import Target, record
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope
 from edoras_tools.pipelines.export import run
 from edoras_tools.pipelines.export.reading import TableForm
 from edoras_tools.pipelines.export.run import ExportTarget, export

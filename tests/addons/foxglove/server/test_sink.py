@@ -34,7 +34,7 @@ from edoras_tools.io.formats.mcap.writer import McapSink
 from edoras_tools.io.topics.messages import Records
 from edoras_tools.links.bare import CI
 from edoras_tools.model import Endpoint, Finding, SourceStatistics
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Scope
 from edoras_tools.pipelines.reading import reading, selected_rows
 from edoras_tools.pipelines.selection import Selection
 from edoras_tools.pipelines.workbench import Settings, open_files

@@ -15,7 +15,7 @@ from rewriting import datagrams, write
 from edoras_tools.decode import Options
 from edoras_tools.links.bare import CI
 from edoras_tools.pipelines.clocks import open_aligned
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 
 CAPTURES = ROOT / "tests/captures"

@@ -11,7 +11,7 @@ from places import ROOT
 from rewriting import datagrams, write
 
 from edoras_tools.io.formats.open import open_file
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 
 GROUND, HOST, INSIDE = "10.0.0.9", "10.0.0.1", "172.17.0.2"

@@ -8,7 +8,7 @@ import pytest
 from places import MISSIONS, ROOT
 
 from edoras_tools.pipelines.capture.info import inspect
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings, open_files
 
 CAPTURES = sorted((ROOT / "tests/captures").glob("*.pcap.zst"))

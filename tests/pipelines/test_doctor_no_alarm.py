@@ -6,7 +6,7 @@ from places import MISSIONS
 
 from edoras_tools.addons.lab.emulator import Simulation, bridges
 from edoras_tools.addons.lab.emulator.simulation import SimulatedSource
-from edoras_tools.pipelines.doctor.doctor import examine
+from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.units import SECOND
 

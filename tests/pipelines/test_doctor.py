@@ -22,8 +22,7 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceDefaults
 from edoras_tools.links.bare import TO
 from edoras_tools.model import SourceInfo, SourceStatistics
-from edoras_tools.pipelines.doctor.doctor import Pace, examine
-from edoras_tools.pipelines.doctor.scope import Scope
+from edoras_tools.pipelines.doctor import Pace, Scope, examine
 from edoras_tools.pipelines.selection import Period, Selection
 from edoras_tools.pipelines.workbench import Settings, open_files
 from edoras_tools.units import SECOND

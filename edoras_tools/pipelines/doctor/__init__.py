@@ -1,1 +1,0 @@
-"""Diagnosis, comparison and report of captures."""
