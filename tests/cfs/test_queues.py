@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from edoras_tools.addons.lab.emulator import Simulation
 from edoras_tools.addons.lab.emulator.account import Fifo
 from edoras_tools.addons.lab.emulator.apps.generator import set_command
-from edoras_tools.addons.lab.emulator.apps.ground_apps import CommandIngest
+from edoras_tools.addons.lab.emulator.apps.network_apps import CommandIngest
 from edoras_tools.cfs import queues
 from edoras_tools.cfs.profile import TO_TABLE, SbnPeerConfig, SimProfile
 from edoras_tools.cfs.queues import NO_LIMIT, Queue, QueueEnd, pass_queue

@@ -7,8 +7,7 @@ from bare_cfs import BareCfs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.addons.lab.emulator.apps.ground_apps import TelemetryOutput
-from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
+from edoras_tools.addons.lab.emulator.apps.network_apps import SbnNode, TelemetryOutput
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.sending.loop import enable_output

@@ -9,7 +9,7 @@ from bare_cfs import BareCfs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
+from edoras_tools.addons.lab.emulator.apps.network_apps import SbnNode
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.sessions.sbn import (
     BRIDGE,

@@ -26,8 +26,7 @@ from msgspec.structs import replace
 
 from edoras_tools.addons.lab.emulator.apps import core, generator
 from edoras_tools.addons.lab.emulator.apps.generator import Generator
-from edoras_tools.addons.lab.emulator.apps.ground_apps import CommandIngest, TelemetryOutput
-from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnApp
+from edoras_tools.addons.lab.emulator.apps.network_apps import CommandIngest, SbnApp, TelemetryOutput
 from edoras_tools.addons.lab.emulator.bridges import FlightBridge, GroundBridge, robot_of
 from edoras_tools.addons.lab.emulator.cfs import DEMO_ROUTES, Cfs, Scenario, SystemRoutes
 from edoras_tools.addons.lab.emulator.scheduler import Scheduler

@@ -5,7 +5,7 @@ from bare_cfs import BareCfs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.addons.lab.emulator.apps.ground_apps import CommandIngest
+from edoras_tools.addons.lab.emulator.apps.network_apps import CommandIngest
 from edoras_tools.addons.lab.emulator.messages import whole_packet
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.wire import cfe

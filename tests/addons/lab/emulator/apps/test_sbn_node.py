@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from msgspec.structs import replace
 
-from edoras_tools.addons.lab.emulator.apps.sbn_node import SbnNode
+from edoras_tools.addons.lab.emulator.apps.network_apps import SbnNode
 from edoras_tools.cfs.profile import SbnPeerConfig, SimProfile
 from edoras_tools.model import Peer
 from edoras_tools.units import MILLISECOND, SECOND

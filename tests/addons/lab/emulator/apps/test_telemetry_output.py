@@ -5,7 +5,7 @@ from bare_cfs import BareCfs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edoras_tools.addons.lab.emulator.apps.ground_apps import TelemetryOutput
+from edoras_tools.addons.lab.emulator.apps.network_apps import TelemetryOutput
 from edoras_tools.model import Endpoint
 from edoras_tools.wire import cfe
 
