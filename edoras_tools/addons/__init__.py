@@ -96,7 +96,7 @@ ADDONS: Final = (
         },
         {
             "parts": {
-                "expected_run": "answers:unlike",
+                "expected_run": "differences:unlike",
                 "against": "cli:against",
                 "bags": "cli:bags",
             }

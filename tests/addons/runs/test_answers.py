@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from places import CAPTURES, MISSIONS
 from rewriting import datagrams, write
 
-from edoras_tools.addons.runs.answers import unlike, unlike_lines
+from edoras_tools.addons.runs.differences import unlike, unlike_lines
 from edoras_tools.addons.runs.run import Run
 from edoras_tools.pipelines.workbench import Settings, open_files
 
