@@ -49,6 +49,8 @@ from edoras_tools.middleware.graph import Qos, TopicState, dds_name
 from edoras_tools.ros.library import PLACEHOLDER, MessageField, Shape, full_name
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
     from cyclonedds.pub import DataWriter
     from cyclonedds.sub import DataReader
 
@@ -56,6 +58,9 @@ if TYPE_CHECKING:
 
     Write = Callable[[bytes], int]
     TakeWithInfo = Callable[[], list[tuple[bytes, Any]]]
+
+    OfferOf = Callable[[int], tuple[Qos, bool] | None]
+    Readers = Mapping[Qos, tuple[DataReader[Any], TakeWithInfo]]
 
 _PRIMITIVES: Final = {
     "bool": bool,
@@ -234,17 +239,6 @@ def rewritten(types: TypeStore, type_name: str, cdr: bytes) -> bytes:
     """
     return types.encode(type_name, types.decode(type_name, cdr))
 
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
-    from cyclonedds.pub import DataWriter
-    from cyclonedds.sub import DataReader
-
-    from edoras_tools.ros import TypeStore
-
-    OfferOf = Callable[[int], tuple[Qos, bool] | None]
-    Readers = Mapping[Qos, tuple[DataReader[Any], TakeWithInfo]]
 
 BLOCKING_MS: Final = 100
 """Time that a write waits for readers that are behind: DDS's own default. ROS waits for ever."""

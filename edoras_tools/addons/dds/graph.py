@@ -46,13 +46,11 @@ from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.ros.type_hash import HASH_VERSION, type_hash
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from uuid import UUID
 
     Owned = TypeVar("Owned", bound=Entity)
+
 
 PRESENCE_TOPIC: Final = "ros_discovery_info"
 """Name of a DDS topic: ROS puts no ``rt/`` in front of it."""

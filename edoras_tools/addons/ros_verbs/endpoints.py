@@ -44,11 +44,11 @@ if TYPE_CHECKING:
 
     from edoras_tools.pipelines.workbench import Settings, Workbench
 
-if TYPE_CHECKING:
     Heard = Callable[[bytes, int, int, int, str], None]
     """Function of a message's CDR, its times of receiving and publishing (ns since 1970), its number from
     the publisher,
         and the publisher's ``gid``. A value that the middleware does not give is 0, or empty."""
+
 
 FOREVER_NS: Final = (1 << 63) - 1
 DEPTH: Final = 1000

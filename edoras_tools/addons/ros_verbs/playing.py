@@ -41,22 +41,16 @@ from edoras_tools.wire.arrays import gather
 from edoras_tools.words import did_you_mean, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from edoras_tools.io import Source
-    from edoras_tools.middleware import Graph
-    from edoras_tools.mission import Mission
-    from edoras_tools.pipelines.workbench import Workbench
-    from edoras_tools.render.terminal.text import Watcher
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.io import Source
+    from edoras_tools.middleware import Graph
+    from edoras_tools.mission import Mission
     from edoras_tools.pipelines.workbench import Workbench
+    from edoras_tools.render.terminal.text import Watcher
     from edoras_tools.ros import TypeStore
 
     Kind = Literal["hz", "bw", "delay"]

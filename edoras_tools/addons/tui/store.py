@@ -31,13 +31,6 @@ from edoras_tools.wire.arrays import by_value, numbered
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    from edoras_tools.decode.context import Context
-
-if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
@@ -49,6 +42,7 @@ if TYPE_CHECKING:
     Part = tuple["PacketBlock", int, Shown]
     Matcher = Callable[["PacketBlock"], NDArray[np.bool_]]
     """Function from a block to a mask of the packets that match."""
+
 
 _SMALL: Final = 16_384
 """Blocks of a live capture are joined up to this many packets."""

@@ -49,17 +49,21 @@ from edoras_tools.wire.arrays import Integers, Mask, Octets, by_key, gather
 from edoras_tools.wire.envelope import DEFAULT, ENCAPSULATION
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context
+    from edoras_tools.links.doors import KnownSamples
     from edoras_tools.links.protocol import LinkProtocol
     from edoras_tools.wire.ccsds import MsgIds
     from edoras_tools.wire.layout import Layout, Slot
 
     Places = tuple[Integers, Integers]
     """Rows that have a header, and its start in the batch's data."""
+
+    Owned = tuple[Integers, MessageColumns]
+    """Rows that hold messages, and the messages."""
 
 
 _DECODED: Final = {
@@ -346,17 +350,6 @@ def _padding(rows: ColumnRows) -> tuple[Mask, Integers]:
     length = end - rows.column("cdr_offset") - rows.column("cdr_length")
     return (rows.column("cdr_offset") >= 0) & (length > 0), length
 
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from edoras_tools.decode.context import Context
-    from edoras_tools.links.doors import KnownSamples
-
-    Owned = tuple[Integers, MessageColumns]
-    """Rows that hold messages, and the messages."""
 
 _PART: Final = re.compile(r"(\w+)(?:\[(-?\d+)\])?")
 _DOT: Final = re.compile(r"\.")

@@ -30,17 +30,15 @@ from msgspec.structs import replace
 from edoras_tools.wire.arrays import PADDING, Integers, Octets, Places, by_value, copy_rows, word_sums
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from edoras_tools.model import Endpoint, PacketBatch
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
     _Successor = Callable[[Integers], Integers]
     """Returns the start of the record after each of some records."""
+
 
 _LANES = 16
 """Fewest parts for which one step of all of them costs less than single steps."""

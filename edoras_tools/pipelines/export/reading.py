@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
     from edoras_tools.wire.arrays import Integers
 
+    Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
+
 ELEMENT: Final = "element"
 """The column with the index of an element, if every element of a list has a row."""
 
@@ -207,12 +209,6 @@ def _free(name: str, used: Mapping[str, object]) -> str:
 def fits_field(name: str, pattern: str) -> bool:
     """Return whether a field, or one that it is inside, matches a shell pattern."""
     return fnmatchcase(name, pattern) or name.startswith(f"{pattern}.")
-
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 
 class TopicTable(msgspec.Struct, frozen=True, dict=True):

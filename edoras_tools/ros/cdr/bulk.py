@@ -49,6 +49,9 @@ if TYPE_CHECKING:
 
     Position = int | Integers
 
+    Piece = Callable[[], tuple[Integers, Position, NDArray[Any]]]
+    """Reads a part of a column; returns i64, its rows; the number of values of each row; and the values."""
+
 _LITTLE: Final = 0x0100
 _BIG: Final = 0x0000
 """Little-endian and big-endian: the first two bytes of a message, 00 01 and 00 00, read as ``<u2``."""
@@ -510,15 +513,6 @@ def _rows(data: Octets) -> NDArray[np.uint64]:
         if len(words) <= _SHORT
         else np.broadcast_to(words, (_CHUNK_ROWS, len(words)))
     )
-
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from edoras_tools.wire.arrays import Integers, Mask, Octets
-
-    Piece = Callable[[], tuple[Integers, Position, NDArray[Any]]]
-    """Reads a part of a column; returns i64, its rows; the number of values of each row; and the values."""
 
 
 class Ragged(msgspec.Struct, frozen=True, eq=False):
