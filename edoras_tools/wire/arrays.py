@@ -229,7 +229,8 @@ Prints: TypeAlias = "NDArray[np.uint64]"
 """Fingerprints; 0 is unknown."""
 _Item = TypeVar("_Item")
 _Key = TypeVar("_Key")
-_MIX: Final = np.uint64(0x9E3779B97F4A7C15)
+MIX: Final = np.uint64(0x9E3779B97F4A7C15)
+"""An odd number without a pattern: multiplying by it spreads the bits of a word over the product."""
 _WIDE: Final = 1 << 31
 """Limit of numbers of which a pair fits into 63 bits."""
 _SLOTS: Final = 18
@@ -322,7 +323,7 @@ def _from_zero(values: NDArray[Any]) -> tuple[Places, int]:
     return (wide - wide.dtype.type(least)).astype(np.intp, copy=False), most - least + 1
 
 
-def _first_rows(values: NDArray[Any], mix: int = int(_MIX)) -> Places:
+def _first_rows(values: NDArray[Any], mix: int = int(MIX)) -> Places:
     """Return the first row with the value of each row, by hashes; on a collision another hash is used."""
     bits = min(_SLOTS, len(values).bit_length() + _SLOTS_EACH)
     place = ((values.astype(np.uint64) * np.uint64(mix)) >> np.uint64(64 - bits)).astype(np.intp)
@@ -330,7 +331,7 @@ def _first_rows(values: NDArray[Any], mix: int = int(_MIX)) -> Places:
     table[place[::-1]] = np.arange(len(values))[::-1]
     met = table[place]
     if len(others := np.flatnonzero(values[met] != values)):
-        met[others] = others[_first_rows(values[others], mix * int(_MIX) % (1 << 64))]
+        met[others] = others[_first_rows(values[others], mix * int(MIX) % (1 << 64))]
     return met
 
 
@@ -345,10 +346,10 @@ def perhaps_in(
     """
     bits = min(_SLOTS, len(others).bit_length() + _SLOTS_EACH)
     table, shift = np.zeros(1 << bits, np.uint64), np.uint64(64 - bits)
-    slots = others * _MIX >> shift
+    slots = others * MIX >> shift
     for kind, rows in by_value(np.zeros(len(others), np.uint8) if kinds is None else kinds):
         table[slots[rows]] |= np.uint64(1 << kind)
-    met = table[values * _MIX >> shift]
+    met = table[values * MIX >> shift]
     return np.asarray((met if fits is None else met & fits) != 0)
 
 
@@ -615,8 +616,6 @@ HASHED_BYTES: Final = 4096
 """Bytes of a packet that are hashed; longer packets differ within these bytes."""
 _ROWS: Final = 2048
 """Rows that are handled together: few enough to stay in the second-level cache."""
-MIX: Final = np.uint64(0x9E3779B97F4A7C15)
-"""An odd number without a pattern: multiplying by it spreads the bits of a word over the product."""
 
 
 def of_bytes(data: Octets, offset: Integers, length: NDArray[Any]) -> NDArray[np.uint64]:

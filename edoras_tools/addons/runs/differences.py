@@ -87,7 +87,7 @@ _TIME: Final = 0.25
 _LEAST_S: Final = 0.15
 _SENT: Final = 0.005
 _RECEIVED: Final = 0.05
-_FEWEST: Final = 5
+FEWEST: Final = 5
 """Least number of messages of a topic with a rate."""
 _EQUAL: Final = 1e-6
 _CONTENT: Final = 0.99
@@ -153,7 +153,7 @@ def topic_limits(
         rate_spread: standard deviation of its losses in front of the capture.
     """
     count = len(runs)
-    rates = [item.rate for item in runs if item.rate and item.count >= _FEWEST]
+    rates = [item.rate for item in runs if item.rate and item.count >= FEWEST]
     if len(rates) == count:
         fewest = min(item.count for item in runs)
         mean = sum(rates) / count
@@ -266,7 +266,6 @@ def tolerance_interval(values: Sequence[float], spread: float, freedom: int) -> 
     return MeanInterval(mean, mean - half, mean + half)
 
 
-FEWEST: Final = 5
 FEWEST_DELAYS: Final = 20
 LOSS_SHARE: Final = 0.01
 LATENCY_MS: Final = 10.0

@@ -231,14 +231,13 @@ class PcapSource(RecordSource):
 _MICROSECONDS = 0xA1B2C3D4
 _NANOSECONDS = 0xA1B23C4D
 _ETHERNET = 1
-_HEADER_BYTES = 16
 
 
 class PcapSink(CaptureFileSink):
     """Writes the frames of batches to a pcap file, bit for bit."""
 
     head = 24
-    overhead = _HEADER_BYTES
+    overhead = RECORD_HEADER_BYTES
 
     def __init__(
         self, path_or_file: str | Path | BinaryIO, *, nanosecond: bool = False, snap_length: int = 262144
@@ -278,11 +277,11 @@ class PcapSink(CaptureFileSink):
         headers[:, 1] = rest // self._unit_ns
         headers[:, 2] = batch.frame_length
         headers[:, 3] = batch.original_length.view(np.uint32)
-        sizes = batch.frame_length.astype(np.int64) + _HEADER_BYTES
+        sizes = batch.frame_length.astype(np.int64) + RECORD_HEADER_BYTES
         starts = np.cumsum(sizes) - sizes
         out = np.empty(int(sizes.sum()), dtype=np.uint8)
-        put_rows(out, starts, headers.view(f"V{_HEADER_BYTES}")[:, 0])
-        copy_rows(out, starts + _HEADER_BYTES, batch.data, batch.frame_offset, batch.frame_length)
+        put_rows(out, starts, headers.view(f"V{RECORD_HEADER_BYTES}")[:, 0])
+        copy_rows(out, starts + RECORD_HEADER_BYTES, batch.data, batch.frame_offset, batch.frame_length)
         return out
 
     def _finish(self, statistics: SourceStatistics | None) -> None:
