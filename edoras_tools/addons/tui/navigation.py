@@ -12,8 +12,8 @@ from textual import work
 from textual.binding import Binding
 from textual.worker import get_current_worker
 
-from edoras_tools.addons.tui.lists.control_room import Drawing
 from edoras_tools.addons.tui.lists.lines import Lines
+from edoras_tools.addons.tui.lists.overviews import Drawing
 from edoras_tools.addons.tui.panes import Panes
 from edoras_tools.addons.tui.prompts import Sheet
 from edoras_tools.addons.tui.store import matcher, next_number

@@ -19,10 +19,9 @@ from textual.containers import Horizontal, Vertical
 from textual.theme import Theme
 from textual.widgets import ContentSwitcher, Footer, Static
 
-from edoras_tools.addons.tui.lists.control_room import Drawing, RateGraph, SequenceView
 from edoras_tools.addons.tui.lists.lines import HeaderLine, Lines, Packets
+from edoras_tools.addons.tui.lists.overviews import Drawing, RateGraph, Routes, SequenceView
 from edoras_tools.addons.tui.lists.packet import WIDE, HexPane, Layers
-from edoras_tools.addons.tui.lists.routes import Routes
 from edoras_tools.addons.tui.prompts import FilterLine, Prompt, Sheet
 from edoras_tools.addons.tui.store import Store
 from edoras_tools.decode.lines import line_of

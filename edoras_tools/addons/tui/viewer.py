@@ -16,10 +16,9 @@ from textual.widgets import Input
 from textual.worker import get_current_worker
 
 from edoras_tools import doors
-from edoras_tools.addons.tui.lists.control_room import Drawing, finding_rows, room_rows, sum_rows
 from edoras_tools.addons.tui.lists.lines import Lines
+from edoras_tools.addons.tui.lists.overviews import Drawing, Routes, finding_rows, room_rows, sum_rows
 from edoras_tools.addons.tui.lists.packet import HexPane
-from edoras_tools.addons.tui.lists.routes import Routes
 from edoras_tools.addons.tui.navigation import Navigation
 from edoras_tools.addons.tui.panes import VIEWS, ViewOptions
 from edoras_tools.addons.tui.prompts import FilterLine

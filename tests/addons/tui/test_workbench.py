@@ -10,7 +10,7 @@ import pytest
 from places import ROOT
 from rich.console import Console
 
-from edoras_tools.addons.tui.lists.control_room import finding_rows, room_rows
+from edoras_tools.addons.tui.lists.overviews import finding_rows, room_rows
 from edoras_tools.addons.tui.navigation import joined_filter
 from edoras_tools.addons.tui.store import WatchThread, _round_before, rate_figure
 from edoras_tools.io.net.buffer import UdpSource
