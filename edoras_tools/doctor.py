@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,8 +21,6 @@ from edoras_tools.pipelines.doctor import examine as examine_source
 from edoras_tools.pipelines.workbench import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.io import Source
 

@@ -15,11 +15,9 @@ Every message is one line (``ConfigError``: one line a mistake) that says what, 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 
 class EdorasError(Exception):

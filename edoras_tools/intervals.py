@@ -9,12 +9,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import atan, cos, pi, sin, sqrt
 from statistics import fmean, variance
-from typing import TYPE_CHECKING, Final, NamedTuple
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 MEAN_CONFIDENCE: Final = 0.95
 """Probability with which an interval holds the mean."""

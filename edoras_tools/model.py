@@ -7,6 +7,7 @@ an array that was handed over.
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, NamedTuple
 from zlib import crc32
 
@@ -17,8 +18,6 @@ from edoras_tools.older import Flags
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from numpy.typing import NDArray
     from typing_extensions import Self
 

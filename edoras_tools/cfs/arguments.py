@@ -8,17 +8,15 @@ computers here; :func:`arguments_of` reads the other order too.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 from functools import cache
 from itertools import takewhile
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from edoras_tools.cfs import event_services, executive_services, names, sbn, table_services, telemetry_output
 from edoras_tools.cfs import time_services as time
 from edoras_tools.cfs.command_ingest import COMMAND_MSG_ID as CI_MSG_ID
 from edoras_tools.wire.layout import Field, Layout, Slot
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 EVS_MSG_ID: Final = 0x1801
 SB_MSG_ID: Final = 0x1803

@@ -7,6 +7,7 @@ order. :data:`NAMED` has the commands that are bare headers, and short forms of 
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from enum import Enum
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -18,8 +19,6 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.words import either
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from edoras_tools.wire.layout import Field
 
 _HIGHEST: Final = 0xFFFF

@@ -6,6 +6,7 @@ UDP). Times are integer nanoseconds.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -18,8 +19,6 @@ from edoras_tools.units import MICROSECOND, MILLISECOND, SECOND
 from edoras_tools.wire.cfe import STANDARD, Headers, MissionTime
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from typing_extensions import Self
 
 FLIGHT_BRIDGE: Final = Peer(0x42, 3)

@@ -11,6 +11,7 @@ Messages that leave one queue arrive at the next: ``pass_queue`` is called again
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -22,8 +23,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import Integers, Mask, Octets, in_16_bits, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
     from edoras_tools.cfs.profile import SimProfile

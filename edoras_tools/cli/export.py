@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from typer import BadParameter, Option
 
@@ -18,9 +19,6 @@ from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import file_progress, print_json, topics_read
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.formats.table import TABLE_FORMATS, TABLES_WRITTEN, TimeForm, written_as
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _FORMATS = ", ".join(item.suffix[1:] for item in TABLE_FORMATS)
 

@@ -6,8 +6,9 @@ import os
 import re
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import Annotated, Any, get_args
 
 import typer
 from typer import Argument, Option
@@ -18,10 +19,6 @@ from edoras_tools.cli.main import WHOLE, first_line, sections
 from edoras_tools.cli.options import DecodingOptions, grouped, parameters
 from edoras_tools.errors import ConfigError
 from edoras_tools.words import did_you_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 _EXIT_CODES = {
     "0": "Success.",

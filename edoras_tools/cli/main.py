@@ -12,13 +12,14 @@ import errno
 import os
 import re
 import sys
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from copy import copy
 from importlib import import_module
 from io import TextIOWrapper
 from itertools import groupby, takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import Any, Final, NoReturn
 
 import typer
 import typer.core
@@ -28,9 +29,6 @@ from edoras_tools.cli import settings
 from edoras_tools.cli.options import OLD_NAMES, QUIET, VERBOSE
 from edoras_tools.cli.output import INTERRUPTED, tell
 from edoras_tools.errors import ConfigError, EdorasError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 OWN: Final = "Options"
 """Heading of a command's own options."""

@@ -9,6 +9,7 @@ import csv
 import json
 import os
 import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,7 +21,6 @@ from edoras_tools.cli.settings import in_effect
 from edoras_tools.errors import CaptureError, EdorasError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from rich.console import RenderableType

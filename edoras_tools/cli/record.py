@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import strftime
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -22,8 +23,6 @@ from edoras_tools.io.outputs import STDOUT
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from edoras_tools.pipelines.capture.record import CaptureReport, Target
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,8 +14,6 @@ from edoras_tools.io.formats.table import WRITTEN
 from edoras_tools.io.outputs import STDOUT, check_new, write_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from edoras_tools.io.formats.mcap.recovery.records import KnownTopics
     from edoras_tools.pipelines.capture.record import Target
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Protocol
 
@@ -15,7 +16,6 @@ from edoras_tools.cli.output import LOST, Metrics, lost_outputs, measured, place
 from edoras_tools.errors import EdorasError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
     from rich.console import Console, Group

@@ -16,15 +16,13 @@ from __future__ import annotations
 import os
 import stat
 import sys
+from collections.abc import Collection, Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.words import did_you_mean, listed
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
 
 NAME: Final = "edoras.toml"
 VARIABLE: Final = "EDORAS_CONFIG"

@@ -8,6 +8,7 @@ single host cpu2's CI port equals TO's destination port (both 1235): the port is
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -31,8 +32,6 @@ from edoras_tools.wire.envelope import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context

@@ -18,6 +18,7 @@ programs use 1234 too, and a CI may use another port. The rules, in this order:
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import Enum
 from typing import TYPE_CHECKING, Final
 
@@ -31,8 +32,6 @@ from edoras_tools.wire.arrays import Integers, Mask, Places, distinct, gather, n
 from edoras_tools.wire.ccsds import VERSION_1
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from edoras_tools.decode.context import Context
 
 _SHARE: Final = 20

@@ -15,6 +15,7 @@ Rules of all values that are derived from many packets:
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, TypeVar
 
 import msgspec
@@ -35,8 +36,6 @@ from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context

@@ -28,6 +28,7 @@ from __future__ import annotations
 import ipaddress
 import re
 from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from zlib import crc32
 
@@ -40,8 +41,6 @@ from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, MsgIds
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, holds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
     from numpy.typing import NDArray
 
     from edoras_tools.cfs import names

@@ -21,6 +21,7 @@ Nothing in a packet names them, so each sound packet is a vote for every kind th
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import product
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
@@ -38,8 +39,6 @@ from edoras_tools.wire.ccsds import VERSION_1
 from edoras_tools.wire.envelope import DEFAULT, ENVELOPE_FORMATS, EnvelopeFormat, holds
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from edoras_tools.decode.context import Context
     from edoras_tools.wire.arrays import Integers, Mask, Places
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable  # noqa: TC003  for readers of the signature
+from collections.abc import Callable, Iterable
 from enum import IntEnum
 from functools import partial
 from itertools import groupby

@@ -9,17 +9,15 @@ import os
 import socket
 import struct
 import time
+from collections.abc import Container, Iterator
 from ipaddress import ip_address
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.model import HostCounters, SocketCounters
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
-
-if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
 
 ENOUGH_BYTES: Final = 4 << 20
 """Size of a socket buffer that holds some seconds of these links' traffic."""

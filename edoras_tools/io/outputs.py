@@ -12,17 +12,15 @@ import os
 import signal
 import stat
 import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from glob import escape
 from itertools import count
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, ClassVar, Final, NamedTuple
+from typing import IO, ClassVar, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, ConfigError, OnFailure, os_errors
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
 
 ENDING: Final = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)

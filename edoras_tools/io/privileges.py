@@ -11,13 +11,13 @@ import os
 import pwd
 import sys
 import tempfile
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 _PR_SET_NO_NEW_PRIVS: Final = 38

@@ -38,6 +38,7 @@ import socket
 import sys
 import time
 from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import sleep
@@ -49,7 +50,6 @@ from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.outputs import ENDING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from types import TracebackType
 
     from typing_extensions import Self

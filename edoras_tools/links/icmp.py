@@ -10,6 +10,7 @@ unreachable. Only errors about UDP are read, and only if the header of the quote
 from __future__ import annotations
 
 import ipaddress
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -22,8 +23,6 @@ from edoras_tools.wire.arrays import Integers, Mask, Places, gather, read_at
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import Reading, Site

@@ -6,6 +6,7 @@ Two links stand here that no wire carries: packets in files of cFS, and the entr
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, TypeVar
 
@@ -19,8 +20,6 @@ from edoras_tools.model import OTHER, Columns, Decoded, Link, Transport
 from edoras_tools.wire.cfe import RESET_ENTRY
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import Framing

@@ -11,6 +11,7 @@ import os
 import re
 import sys
 from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import msgspec
@@ -21,8 +22,6 @@ from edoras_tools.middleware import MOST_DOMAIN
 from edoras_tools.ros.library import full_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
     from edoras_tools.ros import TypeStore
 
 _AUTOMATIC: Final = "automatic"

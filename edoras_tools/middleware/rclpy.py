@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict, deque
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
@@ -17,8 +18,6 @@ from edoras_tools.middleware.graph import Graph, Qos, TopicState, check_name, no
 from edoras_tools.ros.library import full_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from edoras_tools.ros import TypeStore
 
 _MODULES: Final = ("rclpy", "rclpy.context", "rclpy.event_handler", "rclpy.executors", "rclpy.qos")

@@ -8,6 +8,7 @@ look up only their own by name.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec.structs import replace
@@ -21,8 +22,6 @@ from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 from edoras_tools.wire.envelope import EnvelopeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
     CheckType = Callable[[str], str | None]
 
     from edoras_tools.model import Link

@@ -6,6 +6,7 @@ import ipaddress
 import os
 import re
 import shlex
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Final
@@ -24,8 +25,6 @@ from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FrameFormat
 from edoras_tools.words import either
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-
     from edoras_tools.mission.bridges import CheckType, Claims
     from edoras_tools.mission.model import Bridge, FlightLink, GroundLink, Route, StoredTopic, TransferLink
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import msgspec
@@ -13,8 +14,6 @@ from edoras_tools.model import Endpoint, Link
 from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.wire.transfer_frames import FrameFormat
 

@@ -22,6 +22,7 @@ import ipaddress
 import math
 import re
 import sys
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -31,7 +32,6 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.words import did_you_mean, either
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
 BRIDGE_FILE_FORM = "a bridge's file is NODE: ros__parameters: ..."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Final
 
@@ -23,7 +24,6 @@ from edoras_tools.wire import cfe
 from edoras_tools.wire.cfe import RESET_LOG
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from edoras_tools.model import HostCounters, PacketBatch

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -27,8 +28,6 @@ from edoras_tools.pipelines.reading import Limits, reading
 from edoras_tools.pipelines.selection import Period, Selection
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from edoras_tools.diagnosis.missing import Missing
     from edoras_tools.io import Source
     from edoras_tools.links.protocol import LinkProtocol

@@ -18,6 +18,7 @@ All errors of a file are reported at once, with file, line and key.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -39,8 +40,6 @@ from edoras_tools.sessions.faults.rules import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.sessions.faults.machine import Predicate
 

@@ -7,6 +7,7 @@ that reads a capture by its routes reads them, too. They have no link and no Msg
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,7 +28,6 @@ from edoras_tools.ros.library import text_of_idl
 from edoras_tools.structs import Structs
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from edoras_tools.io import Source

@@ -30,6 +30,7 @@ import select
 import signal
 import sys
 import threading
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -54,7 +55,6 @@ from edoras_tools.wire.arrays import Integers, Mask, by_value
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from types import FrameType
 
     from typing_extensions import Self

@@ -16,6 +16,7 @@ from __future__ import annotations
 import pickle
 import queue
 import threading
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -36,7 +37,6 @@ from edoras_tools.pipelines.capture.record import Flushing, Target, open_sink
 from edoras_tools.sessions.sequence import SequenceCounts
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     import numpy as np

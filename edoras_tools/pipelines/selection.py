@@ -6,6 +6,7 @@ A name of the tables stands for packets too: a topic, C struct, MsgId, or messag
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Sequence
 from datetime import date, datetime, time, timedelta, tzinfo
 from fnmatch import fnmatchcase, translate
 from functools import cache, lru_cache, partial
@@ -27,8 +28,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.words import did_you_mean, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.filter import Where
     from edoras_tools.io import Choice

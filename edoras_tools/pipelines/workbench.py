@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from functools import cached_property, partial
 from pathlib import Path
@@ -19,8 +20,6 @@ from edoras_tools.structs import Structs, shipped_structs
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from edoras_tools.io import Source
     from edoras_tools.links.doors import Endpoints, Unwrapper
     from edoras_tools.model import Link, SourceInfo

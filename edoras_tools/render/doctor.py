@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import groupby
 from operator import attrgetter, itemgetter
@@ -37,8 +38,6 @@ from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-
     from typing_extensions import Self
 
     from edoras_tools.diagnosis.accounting.budget import Budget

@@ -6,19 +6,17 @@ Charts are sized by their box and coloured by the page, and readable without scr
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from html import escape
 from importlib.resources import files
 from math import ceil, floor
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 
 from edoras_tools import __version__
 from edoras_tools.render import units
 from edoras_tools.render.plot.figure import tick_texts, ticks
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 CHART_WIDTH: Final = 720
 CHART_HEIGHT: Final = 202

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from edoras_tools.model import Finding
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class Level(IntEnum):

@@ -19,6 +19,7 @@ import os
 import re
 import struct
 from ast import literal_eval
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
@@ -29,8 +30,6 @@ import msgspec
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
     from rosbags.interfaces.typing import FieldDesc, Typesdict
 
 PRIMITIVES: Final = {

@@ -18,6 +18,7 @@ connection, and lines about it for people.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Generic, Literal, TypeVar
 
 import msgspec
@@ -44,8 +45,6 @@ from edoras_tools.wire.cfe import STANDARD, Headers
 from edoras_tools.wire.envelope import CDR_BE, CDR_LE, ENCAPSULATION, EnvelopeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from edoras_tools.mission import Route
     from edoras_tools.model import Peer
     from edoras_tools.sessions.sbn import ConnectionEvent

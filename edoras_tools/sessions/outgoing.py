@@ -10,7 +10,10 @@ Rules that it keeps:
 
 from __future__ import annotations
 
-from collections.abc import Mapping  # noqa: TC003  Changes' annotations are read by people and tools
+from collections.abc import (
+    Mapping,
+    Sequence,
+)
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -25,8 +28,6 @@ from edoras_tools.wire import arrays, ccsds, cfe, sbn
 from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, VERSION_2
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
     from typing_extensions import Self
 

@@ -10,7 +10,7 @@ Rules that it keeps:
 
 from __future__ import annotations
 
-from collections.abc import Mapping  # noqa: TC003  Pacing's annotations are read by people and tools
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec

@@ -19,9 +19,13 @@ Rules that it keeps:
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence  # noqa: TC003  annotations of named tuples are read at run time
+from collections.abc import (
+    Iterable,
+    Mapping,
+    Sequence,
+)
 from enum import Enum
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
@@ -33,9 +37,6 @@ from edoras_tools.model import Peer
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
 from edoras_tools.wire.sbn import MsgType
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
 
 
 class ConnectionState(Enum):

@@ -35,6 +35,7 @@ Consecutive jumps ahead, while there is one strand, are all rule 4e or 4g and ar
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from itertools import pairwise
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
@@ -49,8 +50,6 @@ from edoras_tools.wire import arrays
 from edoras_tools.wire.arrays import Integers, Mask, by_value, changes, distinct_rows, order_by
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
 

@@ -8,6 +8,7 @@ many at a time. ``Bindings`` binds the structs of layouts to packets.
 from __future__ import annotations
 
 import collections
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -24,8 +25,6 @@ from edoras_tools.wire import ccsds
 from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, by_value, gather
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import re
 import reprlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
@@ -29,7 +30,6 @@ from edoras_tools.wire.ccsds import VERSION_1, VERSION_2, MsgIds
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 LAYOUT_VERSION: Final = 1
 LAYOUT_FILE: Final = "structs.yaml"

@@ -17,6 +17,7 @@ nothing runs in Python per packet.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from itertools import takewhile
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -33,8 +34,6 @@ from edoras_tools.structs.shapes import OPEN, Basic, BasicKind, Member, Struct, 
 from edoras_tools.wire.arrays import Integers, Octets, copy_rows, put_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from numpy.typing import NDArray
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from enum import Enum
 from math import inf, prod
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
@@ -14,8 +15,6 @@ from edoras_tools.links import bare
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from edoras_tools.wire.ccsds import MsgIds
 
 

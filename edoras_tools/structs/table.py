@@ -7,6 +7,7 @@ makes the ``LayoutEntryTable`` that this package uses.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from functools import cache, cached_property
 from itertools import pairwise
@@ -21,8 +22,6 @@ from edoras_tools.wire.arrays import Integers, Mask, Octets, changes, order_by
 from edoras_tools.wire.ccsds import VERSION_1, MsgIds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import Reading

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from binascii import crc_hqx
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
@@ -23,8 +24,6 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
     from numpy.typing import DTypeLike, NDArray
     from typing_extensions import Buffer
 

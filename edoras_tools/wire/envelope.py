@@ -11,6 +11,7 @@ The CDR begins with its encapsulation header (OMG DDSI-RTPS 2.5, 10.2), which is
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -22,8 +23,6 @@ from edoras_tools.wire.arrays import CRC16_BYTES, crc16, crc16_rows, crc32, crc3
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.wire.arrays import Integers, Mask, Octets

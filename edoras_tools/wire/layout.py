@@ -8,6 +8,7 @@ reader :meth:`Layout.columns`, and (elsewhere) the tree view and the dissectors 
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -17,8 +18,6 @@ import numpy as np
 from edoras_tools.errors import FieldError, TruncatedError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
     from edoras_tools.wire.arrays import Octets

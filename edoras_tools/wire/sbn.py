@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final
 
@@ -12,8 +13,6 @@ from edoras_tools.errors import TruncatedError
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from edoras_tools.model import Peer
 
 PROTOCOL_VERSION: Final = 11

@@ -5,16 +5,13 @@ The headers of the frames, and the parameters that a mission defines.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Literal
+from collections.abc import Mapping
+from typing import Final, Literal
 
 import msgspec
 
 from edoras_tools.wire.arrays import CRC16_BYTES
 from edoras_tools.wire.layout import Field, Layout
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
 
 NO_PACKET_STARTS: Final = 0x7FF
 """First header pointer of a frame in which no packet starts."""

@@ -18,6 +18,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from threading import Timer
 from time import monotonic
@@ -32,7 +33,6 @@ from edoras_tools.errors import CaptureError, ConfigError, EdorasError, os_error
 from edoras_tools.io.outputs import check_folder, check_links, lock_older, name_that_fits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.addons.archive.places import ListedFile

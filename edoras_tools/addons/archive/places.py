@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import msgspec
 from fsspec.core import url_to_fs
@@ -14,9 +15,6 @@ from fsspec.implementations.local import LocalFileSystem
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.table import FILE_SUFFIXES
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
 
 _PACKED: Final = ("", ".gz", ".zst")
 _SUFFIXES: Final = tuple(suffix + packed for suffix in FILE_SUFFIXES for packed in _PACKED)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
@@ -34,8 +35,6 @@ from edoras_tools.pipelines.reading import on_interrupt
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from edoras_tools.addons.archive.index import Index
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress

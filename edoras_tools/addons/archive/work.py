@@ -7,6 +7,7 @@ groups, so another worker can repeat a group with the same result.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime, timedelta
 from hashlib import sha256
 from itertools import groupby
@@ -28,7 +29,6 @@ from edoras_tools.pipelines.doctor import Findings, examine
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.decode.filters.rows import ColumnRows

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import Annotated, Any, Final
 
 from typer import Exit, Option
 
@@ -15,9 +16,6 @@ from edoras_tools.cli.output import LOST, file_progress, lost, no_datagrams, pri
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import count
 from edoras_tools.words import plural
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 _HEAD: Final = ("from", "to", "file", "bytes", "captured", "pieces", "resent", "filled", "NAKs", "end")
 

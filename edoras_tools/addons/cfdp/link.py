@@ -7,6 +7,7 @@ large-file flag, offsets and sizes have 64 bits instead of 32.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,8 +22,6 @@ from edoras_tools.wire.arrays import CRC16_BYTES, Integers, Mask, Octets, Places
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import LinkEvidence, OwnTopics, Reading, Site, TopicSpace

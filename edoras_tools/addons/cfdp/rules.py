@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.cfdp.link import CFDP, ConditionCode
@@ -11,8 +12,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from edoras_tools.diagnosis.case import Case
 
 

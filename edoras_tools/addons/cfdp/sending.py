@@ -7,6 +7,7 @@ Finished is acknowledged.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -19,8 +20,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import CRC16_BYTES, Integers, Mask, crc16
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from edoras_tools.model import Columns, Link, PacketBatch
 
 _AGAIN_NS: Final = SECOND

@@ -22,6 +22,7 @@ Rules:
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -37,8 +38,6 @@ from edoras_tools.wire.arrays import PADDING, FileCrc, Integers, Octets, Places,
 from edoras_tools.wire.envelope import detect
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
-
     from numpy.typing import NDArray
 
     from edoras_tools.mission import Mission, StoredTopic

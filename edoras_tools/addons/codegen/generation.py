@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path
 from string import Template
@@ -26,8 +27,6 @@ from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.wire.envelope import EnvelopeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
     from edoras_tools.ros import TypeStore
     from edoras_tools.wire.ccsds import MsgIds
 

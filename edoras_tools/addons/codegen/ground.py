@@ -26,6 +26,7 @@ bytes end a packet.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final, Literal
 from xml.etree import ElementTree as ET
 
@@ -41,8 +42,6 @@ from edoras_tools.wire.cfe import EXTENDED, Headers, emit_command
 from edoras_tools.wire.envelope import CDR_LE, DEFAULT, ENCAPSULATION, EnvelopeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from edoras_tools.mission import Route
     from edoras_tools.ros import TypeStore
     from edoras_tools.structs.bindings import Bound

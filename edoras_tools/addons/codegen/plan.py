@@ -15,6 +15,7 @@ import hashlib
 import math
 import re
 import struct
+from collections.abc import Collection, Iterable
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from typing import TYPE_CHECKING, Any, Final
@@ -28,8 +29,6 @@ from edoras_tools.ros.cdr.plan import WIDE_UNIT
 from edoras_tools.ros.cdr.values import ENCAPSULATION_BYTES
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
-
     from edoras_tools.wire.arrays import Integers
 
 _KEYWORDS: Final = frozenset(

@@ -16,10 +16,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from math import inf
 from operator import add, mul, sub
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from msgspec.structs import replace
 
@@ -28,9 +29,6 @@ from edoras_tools.addons.databases.placement import NESTING, Node, Notes, SheetE
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs.files import Database
 from edoras_tools.structs.shapes import BASIC, BasicKind, ByteOrder, Key, Member, Range, StructLayout
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 _REFERENCE: Final = re.compile(r"\$\{([^{}]*)\}")
 _TOKEN: Final = re.compile(r"0[xX][0-9a-fA-F]+|\d+\.?\d*(?:[eE][-+]?\d+)?|\S", re.ASCII)

@@ -7,8 +7,9 @@ no other file.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Container, Iterator, Mapping
 from math import prod
-from typing import TYPE_CHECKING, Any, Final, Literal, NoReturn
+from typing import Any, Final, Literal, NoReturn
 from xml.parsers import expat
 
 import msgspec
@@ -26,9 +27,6 @@ from edoras_tools.structs.shapes import (
     Member,
     Struct,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator, Mapping
 
 NESTING: Final = 64
 """Most elements that contain each other, types too, and most bases of one."""

@@ -22,11 +22,12 @@ import os
 import re
 import sys
 import tempfile
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from socket import SO_RCVBUF, SOCK_DGRAM, SOL_SOCKET, socket
 from threading import Lock
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from xml.sax.saxutils import quoteattr
 
 import msgspec
@@ -36,9 +37,6 @@ from cyclonedds.domain import Domain
 from edoras_tools.errors import ConfigError
 from edoras_tools.middleware import MOST_DOMAIN
 from edoras_tools.middleware.graph import unknown_options
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
 
 _OPTIONS: Final = ("interface", "peers", "multicast")
 _URI: Final = "CYCLONEDDS_URI"

@@ -34,7 +34,7 @@ import ctypes
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclonedds.core import DDSException, InstanceState, SampleState, ViewState
@@ -49,8 +49,6 @@ from edoras_tools.middleware.graph import Qos, TopicState, dds_name
 from edoras_tools.ros.library import PLACEHOLDER, MessageField, Shape, full_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
     from cyclonedds.pub import DataWriter
     from cyclonedds.sub import DataReader
 

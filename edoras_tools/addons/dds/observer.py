@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -26,8 +27,6 @@ from edoras_tools.middleware.graph import Qos, ros_name
 from edoras_tools.ros.type_hash import type_hash
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from cyclonedds.builtin import DcpsEndpoint
     from cyclonedds.qos import Qos as DdsQos
 

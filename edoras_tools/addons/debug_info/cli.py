@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,8 +14,6 @@ from edoras_tools.cli.output import tell
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from edoras_tools.addons.debug_info.dwarf import Listed
     from edoras_tools.structs.shapes import Key, Member, Struct, StructLayout
 

@@ -13,11 +13,12 @@ import shlex
 import subprocess
 import tempfile
 import zlib
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 from msgspec.structs import replace
 
@@ -36,9 +37,6 @@ from edoras_tools.structs.shapes import (
     StructLayout,
 )
 from edoras_tools.words import did_you_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 _Kept = TypeVar("_Kept", Struct, Enumeration)
 

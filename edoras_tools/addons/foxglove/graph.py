@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -24,8 +25,6 @@ from edoras_tools.middleware.graph import Graph, Qos, unknown_options
 from edoras_tools.model import Endpoint
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from edoras_tools.ros import TypeStore
 
 _OPTIONS: Final = {"host": "127.0.0.1", "port": "8765", "origins": "", "token": ""}

@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 import socket
 import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from typing import TYPE_CHECKING, Final
 
@@ -37,7 +38,6 @@ from edoras_tools.render.severity import EXPLANATIONS, Level
 from edoras_tools.units import MILLISECOND, SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Sequence
     from pathlib import Path
 
     from edoras_tools.io import Source

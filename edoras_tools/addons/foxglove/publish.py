@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING, Final
@@ -21,8 +22,6 @@ from edoras_tools.sessions.sbn import SbnConnection
 from edoras_tools.units import MILLISECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from edoras_tools.pipelines.workbench import Workbench
 
     Send = Callable[[bytes, int], str]

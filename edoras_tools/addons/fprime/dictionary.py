@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from math import prod
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import msgspec
 from msgspec.structs import replace
@@ -22,10 +23,6 @@ from edoras_tools.addons.fprime.table import BoundEntry, Entry, EntryTable, Even
 from edoras_tools.errors import ConfigError
 from edoras_tools.structs import Structs, shapes
 from edoras_tools.structs.files import Database, plain_values
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
 
 PACKAGE: Final = "fprime_msgs"
 _TYPES: Final = "typeDefinitions"

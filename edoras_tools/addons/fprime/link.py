@@ -10,6 +10,7 @@ configuration since version 4.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from enum import IntEnum
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -28,8 +29,6 @@ from edoras_tools.wire.arrays import CRC16_BYTES, crc16_rows, crc32, gather, rea
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
     from numpy.typing import NDArray
 
     from edoras_tools.wire.arrays import Integers, Mask, Octets, Places

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -18,8 +19,6 @@ from edoras_tools.wire.arrays import gather
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from edoras_tools.diagnosis.case import Case
 
 

@@ -6,6 +6,7 @@ version 4.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from struct import error, pack
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,8 +22,6 @@ from edoras_tools.wire.transfer_frames import TC_LENGTH_BIAS
 from edoras_tools.words import did_you_mean, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from edoras_tools.addons.fprime.table import EntryTable
     from edoras_tools.links.doors import Framing
     from edoras_tools.model import Columns, Link, PacketBatch

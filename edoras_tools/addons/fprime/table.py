@@ -9,6 +9,7 @@ each text.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
@@ -25,8 +26,6 @@ from edoras_tools.structs.shapes import ENTRY_KEY, Key, Member, Struct, StructLa
 from edoras_tools.wire.arrays import Integers, Mask, Octets, by_value, copy_rows, gather, read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import Reading

@@ -6,6 +6,7 @@ mission names; see :mod:`edoras_tools.addons.frames.unframer`.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,8 +21,6 @@ from edoras_tools.wire import transfer_frames as headers
 from edoras_tools.wire.transfer_frames import FRAME_LAYOUTS, FRAME_VERSIONS, NO_FIRST, FrameFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
     from numpy.typing import NDArray
 
     from edoras_tools.wire.layout import Layout

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from edoras_tools.addons.frames.link import FRAMES
@@ -10,8 +11,6 @@ from edoras_tools.diagnosis.verdict import Verdict, error
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from edoras_tools.diagnosis.case import Case
 
 

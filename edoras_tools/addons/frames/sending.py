@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator  # noqa: TC003
+from collections.abc import (
+    Iterator,
+    Sequence,
+)
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -18,8 +21,6 @@ from edoras_tools.wire import transfer_frames as headers
 from edoras_tools.wire.arrays import CRC16_BYTES, Integers, Mask, Places, crc16
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from edoras_tools.model import Columns, Link, PacketBatch
 
 _TOGETHER_NS: Final = 50 * MILLISECOND

@@ -22,6 +22,7 @@ takes the next packet behind every pointer at once.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -39,8 +40,6 @@ from edoras_tools.wire.transfer_frames import LATE, FrameFormat, count_modulus
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
 

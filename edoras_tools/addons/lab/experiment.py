@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import json
 import random
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from itertools import product
 from math import inf
@@ -64,7 +65,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.diagnosis.examination import Diagnosis

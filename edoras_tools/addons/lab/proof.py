@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
@@ -51,8 +52,6 @@ from edoras_tools.wire.ccsds import VERSION_1, VERSION_2
 from edoras_tools.wire.cfe import STANDARD, WITH_EXTENDED, WITH_EXTENDED_2, emit_telemetry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.case import Case

@@ -7,6 +7,7 @@ the proof of a capture: the losses of both side by side, and as a picture over t
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from math import pi
 from typing import TYPE_CHECKING, Any, Final, TextIO
@@ -35,7 +36,6 @@ from edoras_tools.units import MICROSECOND, SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from rich.table import Table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,8 +17,6 @@ from edoras_tools.cli.output import file_progress, tell
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from edoras_tools.addons.mission_draft.draft import MissionDraft
 
 mission = command_group("mission", "Draft a mission file from what is in a capture.")

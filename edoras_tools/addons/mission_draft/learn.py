@@ -13,6 +13,7 @@ them, and only where its own values differ from the usual ones. Rules:
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Container, Iterator, Sequence
 from contextlib import suppress
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -36,8 +37,6 @@ from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.addons.mission_draft.draft import CapturedTraffic, OpenInput

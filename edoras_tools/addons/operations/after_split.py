@@ -16,13 +16,13 @@ import queue
 import shlex
 import subprocess
 import threading
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
 PAUSES_S: Final = (1.0, 2.0, 4.0, 8.0)

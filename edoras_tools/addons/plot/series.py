@@ -6,6 +6,7 @@ What is asked for: ``/cmd_vel.linear.*``, ``/imu.covariance[4]``, ``rate:/cmd_ve
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
@@ -35,7 +36,6 @@ from edoras_tools.ros.cdr.bulk import Ragged, TopicBlock
 from edoras_tools.words import did_you_mean, listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray

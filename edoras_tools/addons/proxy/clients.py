@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from operator import attrgetter
 from typing import TYPE_CHECKING
@@ -14,7 +15,6 @@ from edoras_tools.io.net.sockets import Address, bind, connect, host_of, kernel_
 
 if TYPE_CHECKING:
     import socket
-    from collections.abc import Callable, Iterator
 
     import numpy as np
     from numpy.typing import NDArray

@@ -7,6 +7,7 @@ repeated or overtaken, and rules for that are refused.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -22,8 +23,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.cfe import STANDARD, Headers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.mission import Mission

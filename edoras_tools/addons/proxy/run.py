@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import select
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final
@@ -35,7 +36,6 @@ from edoras_tools.units import MILLISECOND
 
 if TYPE_CHECKING:
     import socket
-    from collections.abc import Callable
 
     from numpy.typing import NDArray
 

@@ -19,8 +19,9 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from collections.abc import Iterator, Mapping
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -30,10 +31,6 @@ from edoras_tools.model import Decoded, LayerField, PacketBatch, Transport
 from edoras_tools.wire import cfe
 from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, copy_rows, gather
 from edoras_tools.wire.layout import Field, Layout
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
 
 BRIDGE_WEBSOCKET_PORT: Final = 8765
 SUBPROTOCOL: Final = "example-protocol"

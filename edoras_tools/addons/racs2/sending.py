@@ -19,6 +19,7 @@ import os
 import re
 import selectors
 import socket
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -36,8 +37,6 @@ from edoras_tools.wire.arrays import Integers, Mask, Places, by_value, copy_rows
 from edoras_tools.wire.envelope import ENCAPSULATION
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from edoras_tools.links.doors import Framing, TopicSpace
 
 _REQUEST: Final = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,8 +18,6 @@ from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from edoras_tools.diagnosis.examination import Diagnosis
 
 _MOST_CHARTS: Final = 24

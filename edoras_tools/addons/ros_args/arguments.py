@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final
@@ -16,8 +17,6 @@ from edoras_tools.mission.loading import read_file
 from edoras_tools.mission.tree import Mistakes, NodeParameters, name_matches, read_nodes, yaml_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from edoras_tools.pipelines.workbench import Settings
 
 _PARAMETER: Final = re.compile(rf"(?:({PART}):)?({PART}(?:[./]{PART})*):=(.+)", re.DOTALL)

@@ -12,15 +12,13 @@ Rules that this file keeps:
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final
+from collections.abc import Sequence
+from typing import Final
 
 import msgspec
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.mission.bridges import full_topic
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 PART: Final = "(?:(?![A-Za-z0-9_]*__)[A-Za-z_][A-Za-z0-9_]*)"
 _NAME: Final = rf"(?:~/|/)?{PART}(?:/{PART})*"

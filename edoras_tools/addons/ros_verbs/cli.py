@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from time import monotonic_ns
@@ -32,8 +33,6 @@ from edoras_tools.io.formats.table import READ_PACKED
 from edoras_tools.ros.library import MessageField, Shape
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from edoras_tools.addons.ros_verbs.endpoints import GraphEndpoint, GraphRequest
     from edoras_tools.addons.ros_verbs.playing import Kind, MessageBlock, PlayRequest
     from edoras_tools.io import Source

@@ -18,6 +18,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from threading import Event
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
@@ -40,8 +41,6 @@ from edoras_tools.sessions.pacing import Lateness
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
     from edoras_tools.pipelines.workbench import Settings, Workbench
 
     Heard = Callable[[bytes, int, int, int, str], None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,8 +12,6 @@ from edoras_tools.middleware.graph import Qos, node_name, unknown_options
 from edoras_tools.middleware.rclpy import RclpyGraph, qos_profile, rclpy_line
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from edoras_tools.addons.ros_verbs.endpoints import Heard
     from edoras_tools.ros import TypeStore
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.links.protocol import BY_CONTENT, BatchRows, LinkProtocol, LinkSending, Located, Seen
 from edoras_tools.model import Decoded, PacketBatch, Transport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from edoras_tools.links.doors import (
         Follower,
         LinkEvidence,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -13,8 +14,6 @@ from edoras_tools.model import Decoded, Finding, LayerField, Link, PacketBatch
 from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, numbered
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
     from numpy.typing import NDArray
 
     from edoras_tools.addons.rtps.wire import SampleData

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 from edoras_tools.addons.rtps.link import RTPS
@@ -14,8 +15,6 @@ from edoras_tools.model import NO_MSG_ID
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from edoras_tools.diagnosis.case import Case
 
 _HOP: Final = "DDS"

@@ -16,6 +16,7 @@ behind the row of its last fragment. Rules:
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -48,8 +49,6 @@ from edoras_tools.wire.envelope import CDR_LE, ENCAPSULATION
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from edoras_tools.ros import TypeStore
 
 

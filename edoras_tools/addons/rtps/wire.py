@@ -15,6 +15,7 @@ step reads the next submessage of every message. At most ``MOST_SUBMESSAGES`` ar
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from enum import IntEnum, IntFlag
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
@@ -27,8 +28,6 @@ from edoras_tools.wire.arrays import Integers, Mask, Octets, gather
 from edoras_tools.wire.layout import Field, Layout
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from numpy.typing import NDArray
 
 

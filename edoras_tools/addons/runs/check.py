@@ -5,6 +5,7 @@ Expectations are about counts while a capture is read, and about figures of mess
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import compress
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -38,7 +39,6 @@ from edoras_tools.wire import cfe
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray

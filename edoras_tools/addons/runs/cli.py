@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from time import monotonic_ns
@@ -19,8 +20,6 @@ from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_jso
 from edoras_tools.errors import CaptureError, ConfigError, InterruptError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from edoras_tools.addons.runs.check import CheckReport, Examined
     from edoras_tools.addons.runs.comparison import BagComparison
     from edoras_tools.addons.runs.differences import DifferenceLimits

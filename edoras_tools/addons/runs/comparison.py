@@ -20,6 +20,7 @@ direction.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -50,7 +51,6 @@ from edoras_tools.wire.arrays import MIX, Integers, Mask, Places, by_value, matc
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray

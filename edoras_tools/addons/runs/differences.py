@@ -41,6 +41,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import sqrt
 from statistics import NormalDist, fmean, pvariance, variance
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -64,7 +65,6 @@ from edoras_tools.wire import cfe
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray

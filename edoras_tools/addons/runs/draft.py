@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, CheckReport, CheckResult, Figures, Subject
@@ -37,8 +38,6 @@ from edoras_tools.structs.shapes import Key
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from edoras_tools.addons.runs.expectations import Expectations, Tolerance
     from edoras_tools.addons.runs.run import Run
 

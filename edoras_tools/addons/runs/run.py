@@ -19,6 +19,7 @@ The fields of each topic are collected, too:
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from math import hypot, sqrt
 from typing import TYPE_CHECKING, Any, Final
 
@@ -37,7 +38,6 @@ from edoras_tools.pipelines.messages import open_inputs
 from edoras_tools.ros.cdr.bulk import Ragged
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray

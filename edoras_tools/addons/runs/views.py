@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console, Group, RenderableType
@@ -16,8 +17,6 @@ from edoras_tools.render.terminal.table import Column, build, figure, plain
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from edoras_tools.addons.runs.comparison import CaptureComparison
 
 

@@ -23,6 +23,7 @@ import stat
 import threading
 import time
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import reduce
 from operator import or_
@@ -48,7 +49,6 @@ from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from edoras_tools.cli.record import SnapshotOptions

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from itertools import chain
 from typing import IO, TYPE_CHECKING, Any, Final
@@ -15,8 +16,6 @@ import pyarrow.parquet
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.io.formats.columns import TableColumn, TableHead

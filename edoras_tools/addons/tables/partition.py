@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
 from glob import glob
@@ -32,8 +33,6 @@ from edoras_tools.pipelines.export.sources import TopicSource, open_topics, reco
 from edoras_tools.words import listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from edoras_tools.cli.options import PrintOptions
     from edoras_tools.io.formats.columns import TableColumn
     from edoras_tools.pipelines.doctor import Scope

@@ -12,6 +12,7 @@ The way of a message is a view of the ledger, the matched streams and the rounds
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
@@ -33,8 +34,6 @@ from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.words import did_you_mean, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from edoras_tools.decode import Context
     from edoras_tools.diagnosis.evidence.table import Recorder
     from edoras_tools.diagnosis.matching.streams import Stream

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from html import escape
 from importlib.resources import files
@@ -21,8 +22,6 @@ from edoras_tools.render.units import NONE
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
     from edoras_tools.addons.trace.rounds import HopRate, Rounds, Timing, TopicRates
     from edoras_tools.decode import Context
     from edoras_tools.model import Columns, PacketBatch

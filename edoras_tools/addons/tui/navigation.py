@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -30,8 +31,6 @@ from edoras_tools.render.terminal.text import clean, clip
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from edoras_tools.addons.tui.store import Part
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.render.capture.tree import TreeRow

@@ -15,6 +15,7 @@ import queue
 import re
 import threading
 from bisect import bisect_right
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -31,8 +32,6 @@ from edoras_tools.wire.arrays import by_value, numbered
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context

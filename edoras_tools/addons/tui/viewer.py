@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import queue
 import threading
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -39,7 +40,6 @@ from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     import subprocess
-    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
     from rich.text import Text

@@ -8,6 +8,7 @@ fifo.
 from __future__ import annotations
 
 import select
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
@@ -28,7 +29,6 @@ from edoras_tools.pipelines.workbench import Settings
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable
 
     from edoras_tools.io.capture.device import DeviceSource
     from edoras_tools.model import Link

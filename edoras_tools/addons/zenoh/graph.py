@@ -6,6 +6,7 @@ import json
 import os
 import re
 import time
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from itertools import count
@@ -23,8 +24,6 @@ from edoras_tools.ros.library import full_name
 from edoras_tools.ros.type_hash import type_hash
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
-
     from edoras_tools.ros import TypeStore
 
 

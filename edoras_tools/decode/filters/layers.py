@@ -16,6 +16,7 @@ Headers have the layouts' own names, read at the offsets that the decoder found.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from copy import copy
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -49,8 +50,6 @@ from edoras_tools.wire.arrays import Integers, Mask, Octets, by_key, gather
 from edoras_tools.wire.envelope import DEFAULT, ENCAPSULATION
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context

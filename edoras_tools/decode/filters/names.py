@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from difflib import get_close_matches
 from functools import partial
@@ -30,8 +31,6 @@ from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import either, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from edoras_tools.decode.context import Context
 
 _ALIASES: Final = {

@@ -5,6 +5,7 @@ Packets are a batch with its columns, or decoded one by one. Both give the same 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -18,8 +19,6 @@ from edoras_tools.model import NO_ROUTE, Columns, Decoded, PacketBatch
 from edoras_tools.wire.arrays import Integers, Mask, Places, by_value
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
     from typing_extensions import Self
 

@@ -13,14 +13,12 @@ from __future__ import annotations
 import ctypes
 import socket
 import struct
-from typing import TYPE_CHECKING, Final, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final, NamedTuple
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.frames.frame_batch import LINKTYPE_RAW
 from edoras_tools.links import icmp
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
 
 ETHERNET: Final = 1
 """LINKTYPE_ETHERNET."""

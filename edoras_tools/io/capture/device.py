@@ -21,6 +21,7 @@ import sys
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
@@ -33,7 +34,6 @@ from edoras_tools.io.frames.linklayer import FrameSource, demux
 from edoras_tools.model import InterfaceOutage, PacketBatch, SourceInfo, SourceStatistics
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from types import EllipsisType
 
 ANY_INTERFACE: Final = "any"

@@ -42,6 +42,7 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from queue import SimpleQueue
@@ -57,8 +58,6 @@ from edoras_tools.model import InterfaceOutage, SourceInfo
 from edoras_tools.wire.arrays import PADDING, Octets
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from edoras_tools.io.frames.frame_batch import FrameBatch
 
 _NUMBERS: Final = {"x86_64": 324, "aarch64": 283, "riscv64": 283, "armv7l": 389, "ppc64le": 365, "s390x": 356}

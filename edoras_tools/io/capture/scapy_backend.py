@@ -10,7 +10,8 @@ from __future__ import annotations
 import socket
 import struct
 import time
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,10 +23,6 @@ from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.network import error_rows, quoted_ports
 from edoras_tools.model import Finding, PacketBatch, SourceInfo
 from edoras_tools.wire.arrays import PADDING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
 
 _LINK_TYPES: Final = {
     "Ether": ETHERNET,

@@ -24,6 +24,7 @@ from __future__ import annotations
 import math
 import struct
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -36,8 +37,6 @@ from edoras_tools.model import Finding
 from edoras_tools.wire.arrays import PADDING, Integers, Mask, Octets, read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
 

@@ -12,6 +12,7 @@ import select
 import stat
 import zlib
 from abc import abstractmethod
+from collections.abc import Callable, Iterator
 from os import fstat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, ClassVar, Final, NamedTuple, Protocol
@@ -27,7 +28,6 @@ from edoras_tools.wire.arrays import PADDING, Octets
 
 if TYPE_CHECKING:
     import io
-    from collections.abc import Callable, Iterator
 
     from edoras_tools.io import RecordingOptions, Room
     from edoras_tools.io.frames.frame_batch import FrameBatch

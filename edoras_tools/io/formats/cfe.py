@@ -13,6 +13,7 @@ Other files have no packets: markers of the performance log, a table, or text (`
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -32,7 +33,6 @@ from edoras_tools.wire import ccsds, cfe
 from edoras_tools.wire.arrays import Integers, Octets, Places, gather
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from edoras_tools.wire.layout import Layout

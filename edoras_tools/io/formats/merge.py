@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from heapq import heappop, heappush
 from itertools import chain
 from typing import TYPE_CHECKING, Final
@@ -16,8 +17,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import PADDING, Integers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from edoras_tools.links.doors import Framing
     from edoras_tools.sessions.faults.rules import Fault
 

@@ -7,6 +7,7 @@ with one link type each.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
@@ -25,7 +26,6 @@ from edoras_tools.model import PacketBatch, SourceInfo, SourceStatistics
 from edoras_tools.wire.arrays import Integers, Mask, Octets, copy_rows, put_rows, read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray

@@ -8,6 +8,7 @@ frames get 1970-01-01. The writer makes one section with one interface for each 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, BinaryIO, Final, Literal, NamedTuple
 
 import msgspec
@@ -22,7 +23,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import Integers, Mask, Octets, copy_rows, distinct, put_rows, read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray

@@ -12,6 +12,7 @@ import re
 import struct
 from array import array
 from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from itertools import pairwise
 from typing import IO, TYPE_CHECKING, Any, Final
@@ -37,7 +38,6 @@ from edoras_tools.io.formats.rosbag2.reader import query
 from edoras_tools.io.outputs import NewFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     Progress = Callable[[int, int], None]

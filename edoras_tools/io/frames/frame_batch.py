@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import ipaddress
 from bisect import bisect_left
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
@@ -30,8 +31,6 @@ from msgspec.structs import replace
 from edoras_tools.wire.arrays import PADDING, Integers, Octets, Places, by_value, copy_rows, word_sums
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.model import Endpoint, PacketBatch

@@ -20,6 +20,7 @@ All other frames, and those whose IP header is incomplete or damaged, are skippe
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Any, Final
@@ -43,8 +44,6 @@ from edoras_tools.units import MILLISECOND
 from edoras_tools.wire.arrays import PADDING, Integers, Mask, Octets, read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from numpy.typing import NDArray
 
     from edoras_tools.io.frames.tcp import StreamReassembler

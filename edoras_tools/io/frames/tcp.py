@@ -26,6 +26,7 @@ If bytes came twice with different values, the first ones are used.
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -48,8 +49,6 @@ from edoras_tools.wire.arrays import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
     from numpy.typing import NDArray
 
 

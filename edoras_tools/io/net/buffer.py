@@ -36,6 +36,7 @@ import os
 import socket
 import struct
 import time
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -49,8 +50,6 @@ from edoras_tools.model import Endpoint, SourceInfo
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from numpy.typing import NDArray
 
     from edoras_tools.wire.arrays import Integers, Octets

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -14,7 +15,6 @@ from edoras_tools.sessions.pacing import Lateness
 
 if TYPE_CHECKING:
     import socket
-    from collections.abc import Iterable
 
     from edoras_tools.wire.arrays import Integers
 

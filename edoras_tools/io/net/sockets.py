@@ -10,14 +10,12 @@ import ipaddress
 import socket
 import struct
 import sys
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, ConfigError, OnFailure
 from edoras_tools.model import Endpoint
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 LINUX: Final = sys.platform.startswith("linux")
 LARGEST_DATAGRAM: Final = 65507

@@ -29,6 +29,7 @@ import os
 import select
 import socket
 import time
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 import msgspec
@@ -40,8 +41,6 @@ from edoras_tools.io.net.buffer import SendMany, usable
 from edoras_tools.io.net.sockets import resolve
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from numpy.typing import NDArray
     from typing_extensions import Self
 

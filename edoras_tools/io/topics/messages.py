@@ -8,6 +8,7 @@ messages. ``/tf`` has the poses of the mission as coordinate frames, so that a 3
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,8 +24,6 @@ from edoras_tools.wire.arrays import Integers, Octets, by_value, copy_rows, put_
 from edoras_tools.wire.envelope import ENCAPSULATION
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.mission import Mission, Route

@@ -6,6 +6,7 @@ for a recording without datagrams.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Any, Final
@@ -40,8 +41,6 @@ from edoras_tools.wire.arrays import Integers, Mask, Octets, by_value, order_by
 from edoras_tools.wire.cfe import EVENT_MSG_ID, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.links.doors import Endpoints

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Literal
 
 import msgspec
 from msgspec.structs import replace
@@ -17,10 +18,6 @@ from edoras_tools.model import Endpoint
 from edoras_tools.pipelines.workbench import Settings, Workbench
 from edoras_tools.ros import TypeStore
 from edoras_tools.sessions.bridge import describe
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
 
 BridgeKind = Literal["ground", "flight"]
 _DEPTH: Final = 10

@@ -13,6 +13,7 @@ import select
 import socket
 import time
 from collections import defaultdict, deque
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -46,8 +47,6 @@ from edoras_tools.wire.arrays import by_key
 from edoras_tools.wire.envelope import DEFAULT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from numpy.typing import NDArray
 
     from edoras_tools.pipelines.recorder import RelayRecorder

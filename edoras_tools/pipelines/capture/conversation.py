@@ -5,6 +5,7 @@ And counts for ``sniff --stat``: by route, by SBN conversation, by size, by find
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -21,8 +22,6 @@ from edoras_tools.wire.arrays import Integers, Places, numbered
 from edoras_tools.wire.sbn import MSG_TYPE_NAMES, MsgType
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context

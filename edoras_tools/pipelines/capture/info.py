@@ -17,6 +17,7 @@ rules:
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, Final
 
@@ -36,8 +37,6 @@ from edoras_tools.structs.bindings import payloads
 from edoras_tools.wire.arrays import by_value
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from edoras_tools.decode import ColumnDecoder
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.model import Columns, PacketBatch

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,8 +23,6 @@ from edoras_tools.wire.arrays import Integers, by_value, changes, distinct_rows,
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from edoras_tools.links.doors import Site
     from edoras_tools.mission import Mission, Route
     from edoras_tools.ros import TypeStore

@@ -11,6 +11,7 @@ that differ. The rules:
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby, pairwise
 from json import dumps
 from typing import TYPE_CHECKING, Any, Final
@@ -32,8 +33,6 @@ from edoras_tools.wire.arrays import Integers, Places, by_value, gather, numbere
 from edoras_tools.wire.envelope import ENCAPSULATION, ENVELOPE_FORMATS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.decode.context import Context

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, suppress
 from time import time_ns
 from typing import TYPE_CHECKING, Any, Final
@@ -37,7 +38,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import copy_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
 
     from edoras_tools.pipelines.selection import Selection

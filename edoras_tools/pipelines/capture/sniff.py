@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from typing import TYPE_CHECKING, Final
 
@@ -12,8 +13,6 @@ from edoras_tools.errors import CaptureError
 from edoras_tools.pipelines.reading import Limits, selected_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from edoras_tools.io import Source
     from edoras_tools.model import Decoded
     from edoras_tools.pipelines.selection import Selection

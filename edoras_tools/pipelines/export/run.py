@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+from collections.abc import Callable, Collection, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -21,8 +22,6 @@ from edoras_tools.pipelines.export.reading import TableForm, check_fields, chose
 from edoras_tools.pipelines.export.sources import JUDGED, TopicSource
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
-
     from edoras_tools.render.terminal.text import Progress
     from edoras_tools.ros.cdr.bulk import TopicBlock
 

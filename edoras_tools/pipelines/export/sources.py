@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from itertools import chain
 from json import dumps
@@ -39,8 +40,6 @@ from edoras_tools.wire.arrays import Integers, Mask, by_value, read_at
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.io import Source

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import string
 import struct
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any, Final
@@ -30,8 +31,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from edoras_tools.mission import Mission, Route
     from edoras_tools.pipelines.workbench import Workbench
     from edoras_tools.ros.store import TypeStore

@@ -17,6 +17,7 @@ There may be conditions to wait for before the first datagram leaves, with a mes
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -37,8 +38,6 @@ from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.transmit import Wire
     from edoras_tools.links.protocol import SendingSession

@@ -6,6 +6,7 @@ by the mission's routes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -33,8 +34,6 @@ from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 from edoras_tools.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from edoras_tools.io import Source
     from edoras_tools.io.formats.rosbag2.reader import Rosbag
     from edoras_tools.mission import Mission, Route

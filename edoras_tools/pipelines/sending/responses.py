@@ -5,6 +5,7 @@ A result may be expected after sending: an event, a packet, or a counter that gr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final
 
@@ -19,8 +20,6 @@ from edoras_tools.wire import cfe, sbn
 from edoras_tools.words import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from edoras_tools.decode import Context
     from edoras_tools.mission import Mission
     from edoras_tools.model import Link

@@ -11,6 +11,7 @@ Sent and received datagrams are recorded. Rules:
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -35,8 +36,6 @@ from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from edoras_tools.io.formats.watched import OutputLoss
     from edoras_tools.io.net.transmit import Arrival, SendStatistics
     from edoras_tools.links.protocol import SendingSession

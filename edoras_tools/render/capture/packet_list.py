@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -13,8 +14,6 @@ from edoras_tools.render.terminal.text import cells, clean, clip, clip_left, cli
 from edoras_tools.render.units import TimeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from edoras_tools.decode.lines import PacketLine
 
 

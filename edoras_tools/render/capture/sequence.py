@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final
 
 import msgspec
 
 from edoras_tools.render import units
 from edoras_tools.render.severity import Level, explain
 from edoras_tools.render.terminal.text import clean
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
 
 _MERMAID: Final = re.compile("[#;<>]")
 _PLANTUML: Final = re.compile(r"""//|__|\*\*|--|""|[~<]""")

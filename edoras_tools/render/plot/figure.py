@@ -6,6 +6,7 @@ Counts over time are collected while an input is read, in bounded memory.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -15,8 +16,6 @@ from msgspec.structs import replace
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.wire.arrays import Integers

@@ -5,6 +5,7 @@ Also pictures of the views for documentation, and SVG as PNG.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from html import escape
 from importlib import import_module
@@ -15,8 +16,6 @@ from edoras_tools.render.plot.figure import DARK_COLOURS, LIGHT_COLOURS, text_wi
 from edoras_tools.render.terminal.text import clean, clip, wrap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from edoras_tools.render.plot.figure import Figure, Panel, PlotLine
 
 PLOT_WIDTH: Final = 640

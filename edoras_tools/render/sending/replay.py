@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -13,10 +14,6 @@ from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import facts_grid, plain
 from edoras_tools.words import plural
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
 
 _MOST_EVENTS: Final = 20
 

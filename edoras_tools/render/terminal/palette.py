@@ -14,16 +14,14 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple, TextIO
+from typing import Final, NamedTuple, TextIO
 
 from rich.color import ColorSystem
 from rich.console import Console
 from rich.style import Style
 from rich.theme import Theme
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
 
 _WIDE: Final = "256color" in os.environ.get("TERM", "") or "COLORTERM" in os.environ
 SHADES: Final = {"yellow": "color(136)", "cyan": "color(30)", "green": "color(64)"} if _WIDE else {}

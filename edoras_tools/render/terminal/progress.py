@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Final
 
@@ -13,8 +14,6 @@ from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import ReadingRun, clean, clip_left
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rich.console import Console
 
     from edoras_tools.io import Source

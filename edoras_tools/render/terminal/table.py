@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Literal
 
 import msgspec
 from rich.table import Table
@@ -11,9 +12,6 @@ from rich.text import Text
 from edoras_tools.render import units
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean, clip_middle
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
 
 _LEAST_NAME: Final = 16
 """Least width of the elastic column, if its content is that wide."""

@@ -18,16 +18,14 @@ The usual numbers:
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import msgspec
 
 from edoras_tools.errors import ConfigError
 from edoras_tools.ros.library import PLACEHOLDER, PRIMITIVES, STRINGS, Definition, MessageField, Shape
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 MOST_STEPS: Final = 16_384
 """Most primitives and steps of one type; no sensible definition has more."""

@@ -10,6 +10,7 @@ time or its neighbours, and a batch is decided at once.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -20,8 +21,6 @@ from edoras_tools.wire import ccsds, cfe, envelope, sbn
 from edoras_tools.wire.ccsds import VERSION_1
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from numpy.typing import NDArray
 
     from edoras_tools.model import Link

@@ -18,6 +18,7 @@ A ``FaultPlan`` is frozen: rules and a seed. A ``FaultMachine`` is one run of it
 from __future__ import annotations
 
 import heapq
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -33,8 +34,6 @@ from edoras_tools.wire.ccsds import MSG_ID_BYTES, VERSION_1, MsgIds
 from edoras_tools.wire.cfe import STANDARD, Headers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.wire.arrays import Integers, Mask, Octets

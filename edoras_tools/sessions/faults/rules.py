@@ -9,10 +9,11 @@ reads one raises ValueError for another text; the message says which texts are a
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 
@@ -21,9 +22,6 @@ from edoras_tools.links import table
 from edoras_tools.model import NO_MSG_ID, Link
 from edoras_tools.wire.sbn import MsgType
 from edoras_tools.words import did_you_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
 
 
 class Fault(NamedTuple):

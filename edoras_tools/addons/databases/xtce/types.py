@@ -8,9 +8,10 @@ from __future__ import annotations
 import posixpath
 import re
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import msgspec
 from msgspec.structs import replace
@@ -18,9 +19,6 @@ from msgspec.structs import replace
 from edoras_tools.addons.databases import placement
 from edoras_tools.addons.databases.placement import NESTING, Node, Notes, SheetError
 from edoras_tools.structs.shapes import BASIC, BasicKind, ByteOrder, Member, Range
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 TYPE_KINDS: Final = (
     *("AbsoluteTime", "Aggregate", "Array", "Binary", "Boolean", "Enumerated", "Float", "Integer"),

@@ -17,6 +17,7 @@ from __future__ import annotations
 import json
 import logging
 from collections import deque
+from collections.abc import Iterator, Sequence
 from http import HTTPStatus
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final
@@ -35,8 +36,6 @@ from edoras_tools.errors import WireError
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from numpy.typing import NDArray
 
     SharedFrames = tuple[memoryview, NDArray[np.int64], NDArray[np.int64]]

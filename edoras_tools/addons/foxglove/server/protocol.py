@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import struct
 from base64 import b64encode
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import msgspec
@@ -24,8 +25,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import copy_rows, put_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.io.topics.messages import Records

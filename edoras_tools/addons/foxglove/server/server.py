@@ -22,6 +22,7 @@ import threading
 import time
 from base64 import b64encode
 from collections import Counter, deque
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -43,8 +44,6 @@ from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.model import Endpoint
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from edoras_tools.addons.foxglove.server.client import FoxgloveClient, SharedFrames
     from edoras_tools.addons.foxglove.server.protocol import PlaybackState, Player, Publisher
     from edoras_tools.io.topics.messages import Records

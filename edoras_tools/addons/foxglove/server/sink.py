@@ -6,6 +6,7 @@ each route and link. The server's page gets the state of a link: its routes, rat
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -34,8 +35,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.envelope import ENCAPSULATION
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from edoras_tools.decode import Context

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections import defaultdict, deque
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -15,8 +16,6 @@ from edoras_tools.errors import ConfigError
 from edoras_tools.middleware.graph import Graph, Qos, TopicState, unknown_options
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from edoras_tools.ros import TypeStore
 
 

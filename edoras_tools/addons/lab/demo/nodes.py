@@ -12,6 +12,7 @@ import re
 import threading
 import time
 from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from importlib.resources import files
@@ -39,7 +40,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire import envelope, sbn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from edoras_tools.mission import Bridge, Route

@@ -9,6 +9,7 @@ import socket
 import tempfile
 import time
 from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, nullcontext
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -38,8 +39,6 @@ from edoras_tools.ros.store import USUAL_DISTRO
 from edoras_tools.units import SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
     from typing_extensions import Self
 
     from edoras_tools.io import DisplaySink, Source

@@ -11,15 +11,13 @@ by it. Rules:
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Final, Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 import msgspec
 
 from edoras_tools.cfs.queues import NO_LIMIT, QueueEnd, admission
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _Message = TypeVar("_Message")
 LOST: Final = frozenset({QueueEnd.MSG_LIMIT, QueueEnd.PIPE_OVERFLOW, QueueEnd.SOCKET_FULL, QueueEnd.CLOSED})

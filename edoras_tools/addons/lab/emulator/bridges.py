@@ -6,6 +6,7 @@ The robots are two that are easy to check by hand: a rover on a plane, and an ar
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from math import cos, sin
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -18,8 +19,6 @@ from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     from edoras_tools.addons.lab.emulator.cfs import Cfs
     from edoras_tools.ros import TypeStore
 

@@ -9,6 +9,7 @@ Its messages (``SystemRoutes``) are those of a demo, or those in a mission file.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
@@ -29,8 +30,6 @@ from edoras_tools.wire import cfe
 from edoras_tools.wire.envelope import DEFAULT, EnvelopeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from edoras_tools.addons.lab.emulator.scheduler import Running, Scheduler, Task
     from edoras_tools.cfs.event_services import EventText
     from edoras_tools.mission import Bridge, Route

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import cache
 from math import cos, sin
 from typing import TYPE_CHECKING, Any, Final
@@ -14,8 +15,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, envelope
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from edoras_tools.cfs.profile import SimProfile
 
 TWIST: Final = "geometry_msgs/msg/Twist"

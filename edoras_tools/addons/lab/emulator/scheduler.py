@@ -21,13 +21,12 @@ from __future__ import annotations
 import heapq
 import random
 from collections import deque
+from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator
-
     from edoras_tools.cfs.profile import SimProfile
 
     Task = Generator["Receive | Sleep | SleepUntil | Work", Any, None]

@@ -15,6 +15,7 @@ import selectors
 import socket
 import time
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from importlib.resources import as_file, files
@@ -44,8 +45,6 @@ from edoras_tools.units import MICROSECOND, SECOND
 from edoras_tools.wire.sbn import HEADER, MsgType, emit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
     from typing_extensions import Self
 
     from edoras_tools.pipelines.workbench import Settings, Workbench

@@ -11,6 +11,7 @@ waits for the last ones.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterable
 from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
@@ -40,8 +41,6 @@ from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.envelope import DEFAULT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.io.net.transmit import Wire
     from edoras_tools.pipelines.sending.loop import Condition

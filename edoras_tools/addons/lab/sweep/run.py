@@ -6,6 +6,7 @@ sent or requested, and which came back altered.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Final
 
@@ -38,8 +39,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe, sbn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
     from edoras_tools.diagnosis.examination import Diagnosis
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import Endpoint

@@ -5,6 +5,7 @@ One of these is the packet list; a packet is dissected when its line is drawn.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
@@ -33,8 +34,6 @@ from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import TimeFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from rich.console import Console
     from textual import events
 

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
@@ -31,8 +32,6 @@ from edoras_tools.render.terminal.table import Column, build, count_cell, figure
 from edoras_tools.render.terminal.text import clean, clip, clip_middle, fit, wrap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from rich.console import Console
 
     from edoras_tools.pipelines.capture.ledger import Ledger

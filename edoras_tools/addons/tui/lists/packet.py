@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
@@ -18,8 +19,6 @@ from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clip, wrap
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from edoras_tools.model import Decoded
     from edoras_tools.render.capture.tree import Base, TreeRow
 

@@ -6,6 +6,7 @@ import argparse
 import os
 import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,6 @@ from edoras_tools.errors import ConfigError, EdorasError
 from edoras_tools.io.outputs import ENDING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from types import FrameType
 
 

@@ -17,9 +17,10 @@ compress worse, and each has an index of its own: ``docs/recover.md`` has the fi
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from enum import Enum
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import Any, Final, cast
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
@@ -40,10 +41,6 @@ from edoras_tools.io.formats.mcap.file import (
 from edoras_tools.io.processes import InOrder, Workers
 from edoras_tools.io.topics.messages import Messages, within_rows
 from edoras_tools.wire.arrays import Integers, Octets, copy_rows, crc32, put_rows, spill_rows
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
 
 CHUNK_BYTES = 128 << 10
 """Uncompressed bytes of a full chunk; more by at most one message."""

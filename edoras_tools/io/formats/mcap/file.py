@@ -8,6 +8,7 @@ columns, ``MessageIndex`` reads them.
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Final
@@ -27,7 +28,6 @@ from edoras_tools.io.topics.messages import MAGIC, RECORD_PREFIX_BYTES
 from edoras_tools.wire.arrays import Integers, Octets, by_value, crc32, put_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
 from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -24,7 +25,6 @@ from edoras_tools.io.topics.messages import MAGIC, RECORD, RECORD_BYTES, RECORD_
 from edoras_tools.wire.arrays import Integers, Octets, read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
     from pathlib import Path
 
     from mcap.summary import Summary

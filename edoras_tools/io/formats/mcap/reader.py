@@ -11,6 +11,7 @@ import os
 import struct
 from bisect import bisect_left
 from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -50,8 +51,6 @@ from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import Integers, Mask, Octets, Places, crc32, read_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
-
     from numpy.typing import NDArray
 
     from edoras_tools.io import Choice

@@ -18,8 +18,9 @@ its name.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Container, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import zstandard
@@ -77,9 +78,6 @@ from edoras_tools.io.formats.mcap.recovery.report import (
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
 from edoras_tools.io.outputs import NewFile
 from edoras_tools.io.topics.messages import MAGIC
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Mapping, Sequence
 
 _BY_LIBRARY: Final = 20_000
 """Approximate number of messages to read with the ``mcap`` library too: it takes some 40 us for each."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -30,8 +31,6 @@ from edoras_tools.links import table
 from edoras_tools.model import Finding, InterfaceOutage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from edoras_tools.io import Room
     from edoras_tools.mission import Mission
     from edoras_tools.model import Columns, HostCounters, PacketBatch, SourceInfo, SourceStatistics

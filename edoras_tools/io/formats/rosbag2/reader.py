@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import sqlite3
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import cached_property
 from itertools import chain
@@ -49,8 +50,6 @@ from edoras_tools.model import RECORDED, HostCounters, PacketBatch, SourceInfo, 
 from edoras_tools.wire.arrays import PADDING, Integers, Octets, copy_rows, gather
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-
     from mcap.summary import Summary
     from numpy.typing import NDArray
 

@@ -10,6 +10,7 @@ stock cFS; each peer is an ``SbnConnection`` that behaves like stock SBN.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from ipaddress import AddressValueError, IPv4Address
 from typing import TYPE_CHECKING, Final
 
@@ -42,8 +43,6 @@ from edoras_tools.wire import cfe, sbn
 from edoras_tools.wire.cfe import function_code_of, length_of, msg_id_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
     from edoras_tools.addons.lab.emulator.cfs import Cfs
     from edoras_tools.addons.lab.emulator.scheduler import Task
     from edoras_tools.addons.lab.emulator.services.software_bus import Pipe

@@ -17,6 +17,7 @@ Rules, as in the flight code:
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -28,8 +29,6 @@ from edoras_tools.cfs import executive_services as facts
 from edoras_tools.cfs.event_services import EventText, EventType
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from edoras_tools.addons.lab.emulator.scheduler import Scheduler
     from edoras_tools.cfs.profile import SimProfile
 

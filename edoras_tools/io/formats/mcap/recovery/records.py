@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import struct
 from array import array
+from collections.abc import Container, Hashable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import replace
 from functools import cached_property
@@ -32,7 +33,6 @@ from edoras_tools.wire.arrays import Integers, Mask, Octets, copy_rows, crc32, r
 
 if TYPE_CHECKING:
     import re
-    from collections.abc import Container, Hashable, Iterator, Mapping
     from pathlib import Path
 
     from numpy.typing import NDArray

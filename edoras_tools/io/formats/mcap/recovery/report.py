@@ -19,8 +19,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -45,10 +46,6 @@ from edoras_tools.io.topics.messages import MAGIC
 from edoras_tools.mission.tree import printable
 from edoras_tools.older import UTC
 from edoras_tools.wire.arrays import crc32
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 _FOOTER: Final = re.compile(re.escape(b"\x02\x14" + bytes(7)))
 _DATA_END: Final = re.compile(re.escape(b"\x0f\x04" + bytes(7)))
