@@ -9,13 +9,20 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-from typer import Exit, Option
+from typer import Option
 
 from edoras_tools import doors
 from edoras_tools.cli import options
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.options import grouped, share
-from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_csv, print_json, print_view, tell
+from edoras_tools.cli.output import (
+    end,
+    file_progress,
+    no_datagrams,
+    print_csv,
+    print_json,
+    print_view,
+)
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
 
@@ -96,9 +103,8 @@ def doctor(
     else:
         diagnosis = _examine(settings, scope, inputs, duration or 0, printing, jobs or 0, verbose=verbose)
         reasons = [] if task.max_loss is None else diagnosis.beyond(task.max_loss, strict=task.strict)
-        tell(*reasons)
-        if reasons or (task.max_loss is None and (diagnosis.bad or (task.strict and diagnosis.uncertain))):
-            raise Exit(LOST)
+        bad = diagnosis.bad or (task.strict and diagnosis.uncertain)
+        end(*reasons, lost=reasons or (task.max_loss is None and bad))
 
 
 def _check_task(task: TaskOptions, inputs: InputOptions, duration: int | None, constants: list[str]) -> None:
@@ -154,9 +160,7 @@ def _examine(
         print_json(findings.summary())
     elif live or source.statistics.datagrams:
         print_diagnosis(findings.diagnosis, source.info.name, quiet=quiet, verbose=verbose)
-    tell(*bench.mission.warnings, *findings.warnings)
-    if findings.failure is not None:
-        raise findings.failure
+    end(*bench.mission.warnings, *findings.warnings, failure=findings.failure)
     if not live:
         no_datagrams(source)
     return findings.diagnosis
@@ -209,11 +213,7 @@ def _list_lost(
         )
     else:
         print_csv([item.as_json() for item in losses])
-    tell(*findings.warnings)
-    if findings.failure is not None:
-        raise findings.failure
-    if findings.diagnosis.bad:
-        raise Exit(LOST)
+    end(*findings.warnings, failure=findings.failure, lost=findings.diagnosis.bad)
 
 
 def _predict(settings: Settings, scope: Scope, *, json: bool) -> None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import sys
 import time
 
-import typer
 from msgspec.structs import asdict
 
 from edoras_tools import doors
 from edoras_tools.cli import options
 from edoras_tools.cli.options import grouped
-from edoras_tools.cli.output import LOST, print_json
+from edoras_tools.cli.output import end, print_json
 from edoras_tools.links import usual_ports
 
 
@@ -35,8 +34,7 @@ def host(*, json: options.Json = False, decoding: options.DecodingOptions) -> No
         print_json({**asdict(counters), "sockets": sockets, "steal": share, "advice": hints})
     else:
         sys.stdout.writelines(f"{line}\n" for line in host_lines(counters, links, share, hints))
-    if any(item.drops for item in counters.sockets):
-        raise typer.Exit(LOST)
+    end(lost=any(item.drops for item in counters.sockets))
 
 
 def _ports(decoding: options.DecodingOptions) -> dict[int, str]:

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 from msgspec.structs import asdict
-from typer import Exit, Option
+from typer import Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.options import grouped
-from edoras_tools.cli.output import LOST, finish, print_json, print_view, watcher
+from edoras_tools.cli.output import end, finish, print_json, print_view, watcher
 from edoras_tools.cli.recordings import known_topics
 from edoras_tools.errors import ConfigError
 
@@ -89,5 +89,4 @@ def _verify(files: list[Path], printing: options.PrintOptions, decoding: options
             print_json({"source": str(path), **asdict(report)})
         else:
             sys.stdout.write(f"{path}: {report.text(written=False)}\n")
-    if lost:
-        raise Exit(LOST)
+    end(lost=lost)

@@ -172,8 +172,7 @@ def nothing_shown(source: Source, count: int, context: Context, *, live: bool, e
     if not count:
         _none_chosen(source, "" if every else "; -a shows every link")
     lost(source)
-    if context.unnamed and not every:
-        raise typer.Exit(LOST)
+    end(lost=context.unnamed and not every)
 
 
 def _none_chosen(source: Source, hint: str = "") -> None:
@@ -195,8 +194,7 @@ def lost(source: Source) -> None:
         lines = [*lines, *outage_lines(statistics.outages)]
     tell(*lines)
     if drops := statistics.kernel_drops:
-        tell(f"the capture itself lost {drops:,} packets; it was too slow for them")
-        raise typer.Exit(LOST)
+        end(f"the capture itself lost {drops:,} packets; it was too slow for them", lost=drops)
 
 
 def say(*lines: str) -> None:
@@ -208,6 +206,24 @@ def say(*lines: str) -> None:
 def tell(*lines: str) -> None:
     """Print lines on standard error while a command runs."""
     say(*(f"edoras: {line}" for line in lines))
+
+
+def end(*lines: str, failure: EdorasError | None = None, lost: object = False) -> None:
+    """End a command: print lines, then the reason why its work ended early, or that something was lost.
+
+    Args:
+        failure: error that ended the work early, if any.
+        lost: true if data was lost or found lost.
+
+    Raises:
+        EdorasError: ``failure``.
+        typer.Exit: with code 3, if something was lost.
+    """
+    tell(*lines)
+    if failure is not None:
+        raise failure
+    if lost:
+        raise typer.Exit(LOST)
 
 
 def tell_reach(endpoint: Endpoint, may: str, **words: str) -> None:
@@ -224,9 +240,7 @@ def lost_outputs(losses: Sequence[OutputLoss]) -> None:
     Raises:
         typer.Exit: with code 3, if there are any.
     """
-    tell(*map(str, losses))
-    if losses:
-        raise typer.Exit(LOST)
+    end(*map(str, losses), lost=losses)
 
 
 def topics_read(source: TopicSource) -> None:
@@ -239,13 +253,11 @@ def topics_read(source: TopicSource) -> None:
     tell(*source.notes)
     if source.left_out:
         tell(f"{source.left_out:,} messages are incomplete and were left out")
-    if source.failure is not None:
-        raise source.failure
+    end(failure=source.failure)
     if source.source is not None:
         no_datagrams(source.source)
         lost(source.source)
-    if source.unnamed:
-        raise typer.Exit(LOST)
+    end(lost=source.unnamed)
 
 
 def no_messages(source: Source, count: int) -> None:
@@ -269,9 +281,7 @@ def finish(report: CaptureReport, *, live: bool) -> None:
         typer.Exit: with code 3, if the capture lost packets, or traffic of a link was left out.
     """
     ledger = report.ledger
-    tell(*ledger.unfit(), *ledger.mission.warnings, *report.notes, *ledger.unread)
-    if report.failure is not None:
-        raise report.failure
+    end(*ledger.unfit(), *ledger.mission.warnings, *report.notes, *ledger.unread, failure=report.failure)
     if ledger.mission.recorded:
         no_messages(report.source, ledger.datagrams)
     elif not live:
@@ -283,5 +293,4 @@ def finish(report: CaptureReport, *, live: bool) -> None:
             lost(report.source)
         lost_outputs(report.losses)
     lost(report.source)
-    if report.unnamed:
-        raise typer.Exit(LOST)
+    end(lost=report.unnamed)

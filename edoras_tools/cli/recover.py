@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 from msgspec.structs import asdict
-from typer import Argument, Exit, Option
+from typer import Argument, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.options import grouped
-from edoras_tools.cli.output import LOST, print_json
+from edoras_tools.cli.output import end, print_json
 from edoras_tools.io.outputs import in_the_way, refuse_existing
 
 
@@ -51,5 +51,4 @@ def recover(
         print_json({**asdict(report), "output": None if report.whole else str(target)})
     else:
         sys.stdout.write(f"{report.text(written=True)}\n")
-    if report.lost:
-        raise Exit(LOST)
+    end(lost=report.lost)

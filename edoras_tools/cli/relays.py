@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Protocol
 
-import typer
 from typer import BadParameter, Option
 
 from edoras_tools import doors
 from edoras_tools.cli import recordings
 from edoras_tools.cli.options import PrintOptions, headed
-from edoras_tools.cli.output import LOST, Metrics, lost_outputs, measured, place, print_json, say, tell
+from edoras_tools.cli.output import Metrics, end, lost_outputs, measured, place, print_json, say, tell
 from edoras_tools.errors import EdorasError
 
 if TYPE_CHECKING:
@@ -179,8 +178,6 @@ def finish_relay(
             tell(clean(line))  # it may contain text that a peer sent
     if failure is None and recorder is not None:
         failure = recorder.failure
-    if failure is not None:
-        raise failure
+    end(failure=failure)
     lost_outputs(recorder.recorded.losses if recorder else ())
-    if summary["lost"]:
-        raise typer.Exit(LOST)
+    end(lost=summary["lost"])

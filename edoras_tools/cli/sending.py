@@ -16,12 +16,11 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.options import duration, headed, room, share
 from edoras_tools.cli.output import (
     INTERRUPTED,
-    LOST,
     address,
+    end,
     lost_outputs,
     print_json,
     print_view,
-    tell,
     tell_reach,
 )
 from edoras_tools.errors import ConfigError
@@ -259,13 +258,10 @@ def carry_out(
         print_json(summary)
     elif not quiet:
         _print(summary, str(send_options.target))
-    if report.failure is not None:
-        raise report.failure
+    end(failure=report.failure)
     lost_outputs(report.losses)
     reasons = [*report.beyond(send_options.max_loss), *unlike]
-    tell(*reasons)
-    if reasons or (send_options.max_loss is None and report.lost):
-        raise Exit(LOST)
+    end(*reasons, lost=reasons or (send_options.max_loss is None and report.lost))
     if report.signalled and transmission.total:
         raise Exit(INTERRUPTED)
 

@@ -14,7 +14,15 @@ from typer import Argument, Exit, Option
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.main import Command, Group, command_group
 from edoras_tools.cli.options import grouped, headed, moment
-from edoras_tools.cli.output import INTERRUPTED, LOST, file_progress, print_csv, print_json, print_view, tell
+from edoras_tools.cli.output import (
+    INTERRUPTED,
+    end,
+    file_progress,
+    print_csv,
+    print_json,
+    print_view,
+    tell,
+)
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
 from edoras_tools.words import plural
@@ -156,8 +164,7 @@ def index_captures(
     if report.interrupted:
         tell(f"interrupted: {report.unfinished:,} captures are not read yet; run the same again to go on")
         raise Exit(INTERRUPTED)
-    if report.bad:
-        raise Exit(LOST)
+    end(lost=report.bad)
 
 
 @archive.command("list", cls=_ArchiveCommand)
@@ -201,8 +208,7 @@ def losses(
         )
         return
     _print_rows("losses", rows, printing)
-    if rows:
-        raise Exit(LOST)
+    end(lost=rows)
 
 
 def _print_rows(kind: str, rows: list[dict[str, Any]], printing: RowOptions) -> None:

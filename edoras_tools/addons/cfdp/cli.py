@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from typer import Exit, Option
+from typer import Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.options import grouped
-from edoras_tools.cli.output import LOST, file_progress, lost, no_datagrams, print_json
+from edoras_tools.cli.output import end, file_progress, lost, no_datagrams, print_json
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.render.units import count
 from edoras_tools.words import plural
@@ -47,10 +47,7 @@ def files(
         print_json(report.summary())
     elif not printing.quiet:
         sys.stdout.writelines(f"{line}\n" for line in _lines(report.summary()))
-    if report.failure is not None:
-        raise report.failure
-    if not all(item.good for item in report.files):
-        raise Exit(LOST)
+    end(failure=report.failure, lost=not all(item.good for item in report.files))
     lost(source)
 
 

@@ -22,6 +22,7 @@ from edoras_tools.cli.options import grouped, headed
 from edoras_tools.cli.output import (
     Metrics,
     address,
+    end,
     file_progress,
     finish,
     measured,
@@ -186,8 +187,7 @@ def live(
         print_json(summary)
     elif not quiet:
         say(*served(summary["foxglove"]))
-    if failure is not None:
-        raise failure
+    end(failure=failure)
     if report is not None:
         finish(report, live=True)
 

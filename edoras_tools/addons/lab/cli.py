@@ -22,7 +22,7 @@ from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.options import SCENARIOS, PrintOptions, Scenario, grouped, headed
 from edoras_tools.cli.output import (
     INTERRUPTED,
-    LOST,
+    end,
     file_progress,
     print_json,
     print_view,
@@ -164,10 +164,7 @@ def _show(plan: DemoPlan, duration_ns: int, printing: options.PrintOptions) -> N
         print_json(summary)
     elif not quiet:
         print_view(lambda width: views.outcome(summary, running.tracks, width, plan.output))
-    if failure is not None:
-        raise failure
-    if summary["lost"]:
-        raise Exit(LOST)
+    end(failure=failure, lost=summary["lost"])
 
 
 def _begin(running: Demo, *, quiet: bool) -> None:
@@ -488,8 +485,7 @@ def sweep(
         print_view(lambda width: views.sweep_outcome(summary, width))
     if result.steps:
         _draw(summary, pictures)
-    if result.failure is not None:
-        raise result.failure
+    end(failure=result.failure)
     if result.interrupted:
         raise Exit(INTERRUPTED)
 
@@ -561,5 +557,4 @@ def prove(inputs: InputOptions, settings: Settings, printing: PrintOptions, task
         print_json(proof.as_json())
     else:
         print_view(lambda width: proof_view(proof, diagnosis.zero_ns, width))
-    if not proof.explained or not all(item.keeps_promise for item in proof.advices):
-        raise Exit(LOST)
+    end(lost=not proof.explained or not all(item.keeps_promise for item in proof.advices))

@@ -13,7 +13,7 @@ from edoras_tools.cli import options, recordings
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.main import Command, command_group
 from edoras_tools.cli.options import grouped
-from edoras_tools.cli.output import file_progress, tell
+from edoras_tools.cli.output import end, file_progress, tell
 from edoras_tools.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -98,5 +98,4 @@ def _end(
             check = f"; several types fit {made.topics - made.sure} of them: check these" * bool(made.topics)
             tell(f"{path}: {plural(made.topics, 'topic')}{learned}{check}")
     for made in drafts.values():
-        if made.failure is not None:
-            raise made.failure
+        end(failure=made.failure)

@@ -11,7 +11,7 @@ from typer import Argument, Option
 
 from edoras_tools.cli import options
 from edoras_tools.cli.options import grouped
-from edoras_tools.cli.output import address, print_json, print_view, say, tell_reach
+from edoras_tools.cli.output import address, end, print_json, print_view, say, tell_reach
 from edoras_tools.cli.relays import RelayOutputOptions, finish_relay, run_relay
 from edoras_tools.cli.sending import DryRun, Yes, confirm_targets
 from edoras_tools.errors import ConfigError
@@ -160,8 +160,7 @@ def _relay_streams(
     relay = StreamProxy(plan, relayed.cut or 0)
     tell_reach(relayed.listen, f"connect to {plan.targets[0]} through it")
     failure = run_relay(relay, partial(_begin, relay), times.duration)
-    if failure is not None:
-        raise failure
+    end(failure=failure)
     json, quiet = printing
     if json:
         print_json(relay.summary())

@@ -8,12 +8,12 @@ from pathlib import Path
 from time import time_ns
 from typing import Annotated
 
-from typer import Exit, Option
+from typer import Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.options import grouped
-from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_json, tell
+from edoras_tools.cli.output import end, file_progress, no_datagrams, print_json
 from edoras_tools.io.outputs import check_new
 from edoras_tools.words import plural
 
@@ -59,8 +59,5 @@ def report(
             outcome = "nothing was examined"
         verdicts = plural(len(group_verdicts(findings.diagnosis.verdicts)), "verdict")
         sys.stderr.write(f"{path}: {outcome}, {verdicts}, {size / 1024:.0f} KiB\n")
-    tell(*findings.warnings, *map(str, findings.unnamed))
-    if findings.failure is not None:
-        raise findings.failure
-    if findings.diagnosis.bad:
-        raise Exit(LOST)
+    unnamed = map(str, findings.unnamed)
+    end(*findings.warnings, *unnamed, failure=findings.failure, lost=findings.diagnosis.bad)

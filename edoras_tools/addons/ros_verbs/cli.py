@@ -25,7 +25,7 @@ from edoras_tools.cli.bridge import RosOptions
 from edoras_tools.cli.inputs import FileOptions, InputOptions, LiveOptions, open_input
 from edoras_tools.cli.main import command_group
 from edoras_tools.cli.options import grouped
-from edoras_tools.cli.output import INTERRUPTED, LOST, finish, print_json, say, tell
+from edoras_tools.cli.output import INTERRUPTED, end, finish, print_json, say, tell
 from edoras_tools.cli.replay import pair
 from edoras_tools.cli.sending import factor, loops
 from edoras_tools.errors import ConfigError, WireError
@@ -485,8 +485,7 @@ def observe(
         sys.stdout.write("".join(f"{line}\n" for item in summaries for line in _lines(item)))
     if report is not None:
         finish(report, live=True)
-    if any(item["lost"] or any(one["missed"] for one in item["publishers"]) for item in summaries):
-        raise Exit(LOST)
+    end(lost=any(item["lost"] or any(one["missed"] for one in item["publishers"]) for item in summaries))
 
 
 def _lines(topic: Mapping[str, Any]) -> Iterator[str]:
@@ -586,8 +585,6 @@ def play(
             f"published {report.sent:,} messages in {summary['duration_s']:.1f} s, late by {late} us\n"
         )
     errors = (f"{count:,} not published: {why}" for why, count in report.errors.items())
-    tell(*summary["notes"], *errors)
-    if report.failure is not None:
-        raise report.failure
-    if report.errors or (report.signalled and report.total):
-        raise Exit(LOST if report.errors else INTERRUPTED)
+    end(*summary["notes"], *errors, failure=report.failure, lost=report.errors)
+    if report.signalled and report.total:
+        raise Exit(INTERRUPTED)

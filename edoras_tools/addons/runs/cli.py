@@ -11,12 +11,12 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from typer import Argument, Exit, Option
+from typer import Argument, Option
 
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.options import grouped, share
-from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_json, print_view, tell
+from edoras_tools.cli.output import end, file_progress, no_datagrams, print_json, print_view, tell
 from edoras_tools.errors import CaptureError, ConfigError, InterruptError
 
 if TYPE_CHECKING:
@@ -104,8 +104,7 @@ def check(
 
         print_view(lambda width: check_view(report.as_json(), width))
     _end(source, report.findings, live=live)
-    if report.failed:
-        raise Exit(LOST)
+    end(lost=report.failed)
 
 
 def _expectations(inputs: InputOptions) -> tuple[InputOptions, Path]:
@@ -147,9 +146,7 @@ def _draft(
     if not printing.quiet:
         tell(*draft.notes)
     unexamined = [str(item) for run in runs for item in run.findings.unnamed]
-    tell(*dict.fromkeys(unexamined))
-    if unexamined:
-        raise Exit(LOST)
+    end(*dict.fromkeys(unexamined), lost=unexamined)
 
 
 def _update(path: Path, expected: Expectations, report: CheckReport, run: Run) -> None:
@@ -169,9 +166,7 @@ def _check_whole(findings: Examined) -> None:
 
 
 def _end(source: Source, findings: Examined, *, live: bool) -> None:
-    tell(*findings.warnings)
-    if findings.failure is not None:
-        raise findings.failure
+    end(*findings.warnings, failure=findings.failure)
     if not live:
         no_datagrams(source)
 
@@ -273,8 +268,7 @@ def compare(
     for run in (*good, *bad):
         for warning in run.info["warnings"]:
             tell(f"{run.info['source']}: {warning}")
-    if report["worse"]:
-        raise Exit(LOST)
+    end(lost=report["worse"])
 
 
 def against(
@@ -300,8 +294,7 @@ def against(
         raise CaptureError(
             f"{names} and {other}: no datagram in common; name two captures of the same traffic"
         )
-    if comparison.lost:
-        raise Exit(LOST)
+    end(lost=comparison.lost)
 
 
 def bags(
@@ -346,10 +339,7 @@ def bags(
         print_json({**whole, "diagnosis": judged.summary() if judged else None})
     else:
         _print_bags(comparisons, ways, ", ".join(map(str, files or others[:1])))
-    if judged:
-        tell(*judged.warnings)
-    if lost or (judged and judged.diagnosis.bad):
-        raise Exit(LOST)
+    end(*(judged.warnings if judged else ()), lost=lost or (judged and judged.diagnosis.bad))
 
 
 def _print_bags(comparisons: list[BagComparison], ways: list[Chain], first: str) -> None:

@@ -7,14 +7,14 @@ from pathlib import Path
 from time import monotonic_ns, time_ns
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-from typer import Argument, Exit, Option
+from typer import Argument, Option
 
 from edoras_tools import doors
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.bridge import RosOptions
 from edoras_tools.cli.inputs import FileOptions, InputOptions, LiveOptions, open_input
 from edoras_tools.cli.options import grouped
-from edoras_tools.cli.output import LOST, file_progress, no_datagrams, print_json, print_view, tell
+from edoras_tools.cli.output import end, file_progress, no_datagrams, print_json, print_view, tell
 from edoras_tools.errors import ConfigError, NoDatagramsError
 from edoras_tools.io.formats.table import READ_PACKED
 from edoras_tools.io.outputs import check_new
@@ -87,9 +87,8 @@ def trace(
         print_json({"source": source.info.name, "zero_ns": zero_ns, **whole, **where})
     elif output is None:
         _print(tracing, zero_ns)
-    tell(*findings.warnings)
-    if tracing.trace is not None and tracing.trace.ended.ending in {"lost", "unaccounted"}:
-        raise Exit(LOST)
+    trace = tracing.trace
+    end(*findings.warnings, lost=trace is not None and trace.ended.ending in {"lost", "unaccounted"})
 
 
 def _request(arguments: list[str], read: list[Path], which: WhichOptions) -> tuple[list[Path], TraceRequest]:
@@ -253,9 +252,7 @@ def _hop_rates(
         no_datagrams(source)
     tracing.check()
     _print_rates(tracing, source.info.name, printing, is_whole=topic is not None)
-    tell(*findings.warnings)
-    if findings.failure is not None:
-        raise findings.failure
+    end(*findings.warnings, failure=findings.failure)
 
 
 def _print_rates(tracing: Tracing, name: str, printing: options.PrintOptions, *, is_whole: bool) -> None:
