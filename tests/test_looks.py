@@ -24,7 +24,7 @@ from edoras_tools.pipelines.doctor import Scope, examine
 from edoras_tools.pipelines.workbench import Settings
 from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.doctor import screen
-from edoras_tools.render.pages import BOTTOM, TOP, Made
+from edoras_tools.render.pages import BOTTOM, TOP, Origin
 from edoras_tools.render.plot.figure import DARK_COLOURS, LIGHT_COLOURS
 from edoras_tools.render.plot.svg import plot_svg
 from edoras_tools.render.plot.terminal import plot_lines
@@ -33,7 +33,7 @@ STYLE = (files("edoras_tools.render") / "pages.css").read_text()
 PLOT_STYLE = (files("edoras_tools.render.plot") / "page.css").read_text()
 ROVER = ROOT / "samples/captures/a_rover.pcap"
 SETTINGS = Settings((ROOT / "samples/missions/rover_ground.yaml",))
-ORIGIN = Made("edoras report a_rover.pcap", 0)
+ORIGIN = Origin("edoras report a_rover.pcap", 0)
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+from time import time_ns
 from typing import TYPE_CHECKING, Annotated
 
 from typer import Option, echo
@@ -16,6 +19,7 @@ from edoras_tools.io.outputs import STDOUT, check_new, write_bytes
 if TYPE_CHECKING:
     from edoras_tools.io.formats.mcap.recovery.records import KnownTopics
     from edoras_tools.pipelines.capture.record import Target
+    from edoras_tools.render.pages import Origin
 
 
 Output = Annotated[
@@ -79,6 +83,13 @@ def put_text(text: str, output: Path | None) -> None:
         echo(text, nl=False)
     else:
         write_page(text, output)
+
+
+def page_origin() -> Origin:
+    """Return by which command a page is made, and when."""
+    from edoras_tools.render.pages import Origin
+
+    return Origin(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
 
 
 def write_page(page: str | bytes, output: Path) -> int:

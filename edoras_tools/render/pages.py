@@ -127,7 +127,7 @@ def svg_box(inside: str, height: int, title: str) -> str:
 _HEADING: Final = re.compile(r'<section id="([\w-]+)"><h2>(.*?)</h2>')
 
 
-class Made(NamedTuple):
+class Origin(NamedTuple):
     """How and when a page was made: its footer.
 
     Attributes:
@@ -163,7 +163,7 @@ def heading(name: str) -> str:
     return f"<h1>{escape(name).replace('/', '/<wbr>')}</h1>"
 
 
-def footer(origin: Made) -> str:
+def footer(origin: Origin) -> str:
     """Return the footer: how and when the page was made."""
     text = f"edoras-tools {__version__}, {units.utc(origin.time_ns, digits=0)} UTC"
     return f'<footer class="dim">{text}<br><code>{escape(origin.command)}</code></footer>'

@@ -21,7 +21,7 @@ from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.reader import open_rosbag
 from edoras_tools.mission import load
 from edoras_tools.pipelines.faults import load_scenario
-from edoras_tools.render.pages import Made
+from edoras_tools.render.pages import Origin
 from edoras_tools.ros import TypeStore
 from edoras_tools.ros.library import parse_definition
 from edoras_tools.structs.files import dumps, parse_layout
@@ -186,7 +186,7 @@ def doctor(data: bytes) -> Hashable:
             failed = _told(error, file.name)
     found = examination.diagnose()
     json.dumps(found.as_json())
-    text = page(found, "fuzz", Made("", 0))
+    text = page(found, "fuzz", Origin("", 0))
     assert all(verdict.start_ns <= verdict.end_ns for verdict in found.verdicts)
     return failed, found.bad, frozenset(verdict.rule for verdict in found.verdicts), len(text) > 30_000
 

@@ -53,7 +53,7 @@ from edoras_tools.pipelines.capture.packet_json import as_json
 from edoras_tools.render.capture import tree as packet_view
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.doctor import diagnosis as view
-from edoras_tools.render.pages import Made
+from edoras_tools.render.pages import Origin
 from edoras_tools.ros import TypeStore
 from edoras_tools.wire.arrays import PADDING
 
@@ -327,7 +327,7 @@ def diagnosis(data: bytes) -> Hashable:
     for item in found:
         if item.case is not None:
             json.dumps([entry.as_json() for entry in missing(item.case)], allow_nan=False)
-        page(item, "fuzz", Made("", 0))
+        page(item, "fuzz", Origin("", 0))
         StringConsole(width=100, file=StringIO()).print(view(item, "fuzz", 100))
         assert item.lost >= 0
         assert all(verdict.start_ns <= verdict.end_ns for verdict in item.verdicts)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from time import time_ns
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Argument, Exit, Option
@@ -264,12 +262,10 @@ def report(
     from edoras_tools.addons.archive.index import open_index
     from edoras_tools.addons.archive.page import archive_page, trends_of
     from edoras_tools.io.outputs import check_new
-    from edoras_tools.render.pages import Made
 
     check_new(output, [index], force=force)
     with open_index(index) as opened:
-        origin = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
-        page = archive_page(trends_of(opened, dates.span()), origin)
+        page = archive_page(trends_of(opened, dates.span()), recordings.page_origin())
     size = recordings.write_page(page, output)
     if not quiet:
         sys.stderr.write(f"{output}: {size / 1024:.0f} KiB\n")

@@ -281,7 +281,7 @@ class _DateFrame(Frame):
         return marks
 
 
-def archive_page(trends: ArchiveTrends, origin: pages.Made) -> str:
+def archive_page(trends: ArchiveTrends, origin: pages.Origin) -> str:
     """Return the HTML page."""
     calendar = _Calendar.of(trends)
     sections = [

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from pathlib import Path
-from time import time_ns
 from typing import Annotated
 
 from typer import Option
@@ -35,7 +33,6 @@ def report(
     from edoras_tools.addons.report.page import page
     from edoras_tools.diagnosis.verdict import group_verdicts
     from edoras_tools.pipelines.doctor import examine
-    from edoras_tools.render.pages import Made
 
     files, scope, (json, quiet) = inputs.required(), part.scope(), printing
     path = output or Path(f"{files[0].name if str(files[0]) != '-' else 'report'}.html")
@@ -48,8 +45,8 @@ def report(
         no_datagrams(source)
     elif not findings.diagnosis.datagrams:
         raise findings.failure  # an empty page would claim that there is no problem
-    origin = Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns())
-    size = recordings.write_page(page(findings.diagnosis, source.info.name, origin), path)
+    text = page(findings.diagnosis, source.info.name, recordings.page_origin())
+    size = recordings.write_page(text, path)
     if json:
         print_json({**findings.summary(), "output": str(path)})
     elif not quiet:

@@ -40,7 +40,7 @@ _ALIKE: Final = 4
 """Number of verdicts of one rule from which on they share a table."""
 
 
-def page(result: Diagnosis, name: str, origin: pages.Made) -> str:
+def page(result: Diagnosis, name: str, origin: pages.Origin) -> str:
     """Return the HTML page."""
     picture = charts.sankey(result)
     sections = [pages.section("Messages", [_card(picture)], _key(picture, "bands"))]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from time import monotonic_ns, time_ns
+from time import monotonic_ns
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from typer import Argument, Option
@@ -147,10 +147,6 @@ def _print(tracing: Tracing, zero_ns: int) -> None:
 
 def _write(tracing: Tracing, zero_ns: int, name: str, output: Path) -> None:
     """Write a picture, a page or Mermaid."""
-    import shlex
-
-    from edoras_tools.addons.trace.views import trace_mermaid, trace_page, trace_svg
-    from edoras_tools.render.pages import Made
 
     subject = tracing.trace or tracing.timing
     assert subject is not None
@@ -160,7 +156,7 @@ def _write(tracing: Tracing, zero_ns: int, name: str, output: Path) -> None:
     elif output.suffix.lower() == ".svg":
         text = trace_svg(subject, zero_ns, name)
     else:
-        text = trace_page(subject, zero_ns, name, Made(shlex.join(["edoras", *sys.argv[1:]]), time_ns()))
+        text = trace_page(subject, zero_ns, name, recordings.page_origin())
     recordings.write_page(text, output)
 
 

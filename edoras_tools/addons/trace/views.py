@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from edoras_tools.addons.trace.rounds import HopRate, Rounds, Timing, TopicRates
     from edoras_tools.decode import Context
     from edoras_tools.model import Columns, PacketBatch
-    from edoras_tools.render.pages import Made
+    from edoras_tools.render.pages import Origin
 
 
 _WIDEST: Final = 100
@@ -383,7 +383,7 @@ def trace_svg(subject: MessageTrace | Timing, zero_ns: int, name: str) -> str:
     return standalone(drawn.replace('aria-label="', f'aria-label="{escape(name, quote=True)}, ', 1))
 
 
-def trace_page(subject: MessageTrace | Timing, zero_ns: int, name: str, origin: Made) -> str:
+def trace_page(subject: MessageTrace | Timing, zero_ns: int, name: str, origin: Origin) -> str:
     """Return a page with the picture and its contents as text."""
     if isinstance(subject, MessageTrace):
         name_text, picture = title(subject), trace_picture(subject, zero_ns)

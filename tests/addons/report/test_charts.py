@@ -19,7 +19,7 @@ from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.doctor import examine
 from edoras_tools.pipelines.workbench import Settings
-from edoras_tools.render.pages import Made
+from edoras_tools.render.pages import Origin
 
 MISSION = ROOT / "samples/missions/rover_ground.yaml"
 NAMES = ("a_rover", "c4_cmd_rate", "n12_two_hosts_ground", "season3/q01_two_causes_one_counter")
@@ -67,7 +67,7 @@ def test_it_is_said_in_words(result):
 
 
 def test_a_report_has_what_would_be_left(result):
-    text = page(result, "x.pcap", Made("edoras report x.pcap", 0))
+    text = page(result, "x.pcap", Origin("edoras report x.pcap", 0))
     promised = [item.promise for item in summarize(result).problems[:3] if item.promise]
     assert re.findall(r">left ([^<]+)<", text) == promised
 
