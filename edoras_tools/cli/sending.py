@@ -54,12 +54,10 @@ def rate(text: str) -> tuple[str, float]:
     """Read ``HZ`` or ``ROUTE=HZ``."""
     pattern, _, number = text.rpartition("=")
     try:
-        value = float(number)
-    except ValueError:
-        value = 0
-    if not 0 < value < float("inf"):
-        raise BadParameter(f"{text!r} is not a rate; write 30, or ROUTE=30, in messages per second")
-    return pattern or "*", value
+        return pattern or "*", factor(number)
+    except BadParameter:
+        mistake = f"{text!r} is not a rate; write 30, or ROUTE=30, in messages per second"
+        raise BadParameter(mistake) from None
 
 
 def factor(text: str) -> float:

@@ -271,21 +271,11 @@ def _stream(message: plan.Message, verb: str) -> str:
     return function(heads(message.name)[verb], variables, body)
 
 
-def _read_one(member: plan.CMember, place: str) -> str:
-    if member.message:
-        return f"{member.message.name}__read(reader, &{place});"
-    if member.characters:
-        data = f"{place}.data"
-        return f"{place}.size = edoras_read_{member.kind}(reader, {data}, EDORAS_CAPACITY({data}));"
-    return f"{place} = edoras_read_{member.kind}(reader);"
-
-
 def _member(member: plan.CMember, verb: str) -> str:
     """Return the statements that read or write a member."""
     place, stream = f"message->{member.name}", {"read": "reader", "write": "writer"}[verb]
-    one = _read_one if verb == "read" else _write_one
     if not member.elements:
-        return statement(one(member, place))
+        return statement(_one(member, place, verb, stream))
     data, limit, text = place, f"EDORAS_CAPACITY({place})", ""
     if member.is_sequence:
         data, size = f"{place}.data", f"{place}.size"
@@ -293,16 +283,20 @@ def _member(member: plan.CMember, verb: str) -> str:
         text = statement(f"{limit} = edoras_{verb}_count({stream}, {argument}EDORAS_CAPACITY({data}));")
     if member.kind not in _ONE_BY_ONE:
         return text + statement(f"edoras_{verb}_many({stream}, {data}, {limit}, sizeof({data}[0]));")
-    return text + loop(limit, one(member, f"{data}[i]"))
+    return text + loop(limit, _one(member, f"{data}[i]", verb, stream))
 
 
-def _write_one(member: plan.CMember, place: str) -> str:
+def _one(member: plan.CMember, place: str, verb: str, stream: str) -> str:
+    """Return the statement that reads or writes one value of a member."""
     if member.message:
-        return f"{member.message.name}__write(writer, &{place});"
-    if member.characters:
-        data = f"{place}.data"
-        return f"edoras_write_{member.kind}(writer, {data}, {place}.size, EDORAS_CAPACITY({data}));"
-    return f"edoras_write_{member.kind}(writer, {place});"
+        return f"{member.message.name}__{verb}({stream}, &{place});"
+    call, size = f"edoras_{verb}_{member.kind}({stream}", f"{place}.size"
+    if not member.characters:
+        return f"{place} = {call});" if verb == "read" else f"{call}, {place});"
+    room = f"EDORAS_CAPACITY({place}.data)"
+    if verb == "read":
+        return f"{size} = {call}, {place}.data, {room});"
+    return f"{call}, {place}.data, {size}, {room});"
 
 
 def _decode(message: plan.Message) -> str:

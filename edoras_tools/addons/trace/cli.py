@@ -147,6 +147,7 @@ def _print(tracing: Tracing, zero_ns: int) -> None:
 
 def _write(tracing: Tracing, zero_ns: int, name: str, output: Path) -> None:
     """Write a picture, a page or Mermaid."""
+    from edoras_tools.addons.trace.views import trace_mermaid, trace_page, trace_svg
 
     subject = tracing.trace or tracing.timing
     assert subject is not None

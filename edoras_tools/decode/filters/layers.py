@@ -102,7 +102,7 @@ def _of_packets() -> list[FilterField]:
 
 
 def _packet_headers() -> Iterator[FilterField]:
-    yield from _header(ccsds.PRIMARY, _primary)
+    yield from _header(ccsds.PRIMARY, partial(_starts, "packet_offset"))
     yield from _header(cfe.EXTENDED, _extended)
     # Of each header the build with the most fields; the actual build is known when packets are read.
     yield from _header(cfe.COMMAND_EXTENDED, partial(_secondary, "command"), by_field=True)
@@ -113,7 +113,7 @@ def _packet_headers() -> Iterator[FilterField]:
         partial(_housekeeping, cfe.SOFTWARE_BUS_HOUSEKEEPING, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID),
     )
     yield from map(_of_any_format, _header(DEFAULT.layout, None))
-    yield from _header(ENCAPSULATION, _encapsulation)
+    yield from _header(ENCAPSULATION, partial(_starts, "cdr_offset"))
 
 
 def _others(msg_ids: MsgIds) -> Iterator[FilterField]:
@@ -295,8 +295,9 @@ def _of_any_format(field: FilterField) -> FilterField:
     return replace(field, read=read)
 
 
-def _primary(rows: ColumnRows) -> Places:
-    start = rows.column("packet_offset")
+def _starts(name: str, rows: ColumnRows) -> Places:
+    """Return which packets have a place in a column, and the places."""
+    start = rows.column(name)
     owner = np.flatnonzero(start >= 0)
     return owner, start[owner]
 
@@ -334,12 +335,6 @@ def _housekeeping(layout: Layout, msg_id: int, rows: ColumnRows) -> Places:
 def _envelopes(size: int, rows: ColumnRows) -> Places:
     whole, start, have = _body(rows)
     owner = np.flatnonzero(whole & (rows.routes() != NO_ROUTE) & (have >= size))
-    return owner, start[owner]
-
-
-def _encapsulation(rows: ColumnRows) -> Places:
-    start = rows.column("cdr_offset")
-    owner = np.flatnonzero(start >= 0)
     return owner, start[owner]
 
 
