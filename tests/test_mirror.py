@@ -49,7 +49,6 @@ ELSEWHERE = {
     "diagnosis/matching/*": "diagnosis/test_parts.py",
     "diagnosis/rules/*": "diagnosis/test_rules.py",
     "io/formats/mcap/recovery/*": "io/formats/mcap/test_recover.py",
-    "io/net/*": "io/net/test_transmit.py",
     "links/*": "decode/test_agreement.py",
     "mission/*": "mission/test_mistakes.py",
     "pipelines/sending/*": "pipelines/sending/test_replay.py",

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from edoras_tools.io.frames.frame_batch import ends_of
-from edoras_tools.io.net.forward import Direction, Outlet
 from edoras_tools.io.net.sockets import Address, bind, connect, host_of, kernel_drops, open_socket, resolve
+from edoras_tools.io.net.transmit import Direction, Outlet
 
 if TYPE_CHECKING:
     import socket

@@ -28,8 +28,8 @@ import numpy as np
 from edoras_tools.addons.proxy.clients import Clients, ProxyClient
 from edoras_tools.addons.proxy.plan import FaultStage, Outbox, ProxyPlan
 from edoras_tools.io.net.buffer import SLOTS, SPARE, make_buffer
-from edoras_tools.io.net.forward import Direction
 from edoras_tools.io.net.sockets import kernel_drops, local_endpoint, open_bound, resolve
+from edoras_tools.io.net.transmit import Direction
 from edoras_tools.io.processes import Precedence
 from edoras_tools.pipelines.reading import Keys, on_interrupt, threads_take_turns, watched
 from edoras_tools.units import MILLISECOND

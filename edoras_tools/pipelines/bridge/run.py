@@ -24,7 +24,6 @@ import numpy as np
 from edoras_tools.errors import CaptureError, EdorasError, OnFailure, RouteError
 from edoras_tools.io.frames.frame_batch import ends_of
 from edoras_tools.io.net.buffer import SLOTS, SPARE, DatagramBuffer, make_buffer
-from edoras_tools.io.net.forward import Direction, Outlet
 from edoras_tools.io.net.sockets import (
     ANY_ADDRESS,
     address_of,
@@ -34,6 +33,7 @@ from edoras_tools.io.net.sockets import (
     open_bound,
     own_address,
 )
+from edoras_tools.io.net.transmit import Direction, Outlet
 from edoras_tools.middleware import Graph, Qos, open_graph
 from edoras_tools.middleware.graph import TopicState
 from edoras_tools.mission import GroundLink, Route
