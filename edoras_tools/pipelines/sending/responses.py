@@ -34,12 +34,13 @@ class IngestCount(msgspec.Struct):
     Attributes:
         sent: datagrams sent to CI so far; updated by the sender.
         reports: number of CI's reports.
+        is_known: whether the count before the first datagram is known exactly.
     """
 
     sent: int = 0
     reports: int = 0
     _base: tuple[int, int] | None = None
-    _exact: bool = False
+    is_known: bool = False
     _started: bool = False
     _last: tuple[int, int] | None = None
     _repeated: int = 0
@@ -60,18 +61,13 @@ class IngestCount(msgspec.Struct):
         self._last = now
         if not self._started or self._base is None:
             self._base = now
-            self._exact = not self._restarted and (
+            self.is_known = not self._restarted and (
                 not self.sent or (not self._started and self._repeated > 0)
             )
 
     def begin(self) -> None:
         """Record that the datagrams to be counted are sent from now on."""
         self._started = True
-
-    @property
-    def is_known(self) -> bool:
-        """Whether the count before the first datagram is known exactly."""
-        return self._exact
 
     @property
     def is_final(self) -> bool:
@@ -81,7 +77,7 @@ class IngestCount(msgspec.Struct):
     @property
     def expected(self) -> int:
         """Datagrams sent since the base."""
-        return self.sent - (self._base[1] if self._base and self._exact else 0)
+        return self.sent - (self._base[1] if self._base and self.is_known else 0)
 
     @property
     def read(self) -> int:
@@ -91,7 +87,7 @@ class IngestCount(msgspec.Struct):
     @property
     def missing(self) -> int:
         """Datagrams that certainly never reached CI."""
-        return max(0, self.expected - self.read) if self._exact and self.is_final else 0
+        return max(0, self.expected - self.read) if self.is_known and self.is_final else 0
 
     @property
     def is_counted(self) -> bool:
@@ -108,7 +104,7 @@ class IngestCount(msgspec.Struct):
             state = "others"
         elif self.read == self.expected:
             state = "all"
-        elif not self._exact:
+        elif not self.is_known:
             state = "partly" if self.read else "unknown"
         else:
             state = "missing" if self.is_final else "waiting"

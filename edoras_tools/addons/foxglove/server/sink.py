@@ -414,6 +414,7 @@ class FoxgloveSink(ServedSink):
             return self.server.add(topic)
 
         self._monitor = LinkMonitor(context, types, info.name, levels or {}, statistics, offer)
+        self.sequences = self._monitor.sequences
         self.pace: Callable[[float], None] = lambda _: None
         definitions = self._monitor.definitions
         self.server = FoxgloveServer(
@@ -435,11 +436,6 @@ class FoxgloveSink(ServedSink):
         if self.server.clients:
             self.server.publish(lay_out(streams, len(batch)))
             self.show_time(int(batch.time_ns[-1]))
-
-    @property
-    def sequences(self) -> SequenceCounts:
-        """See ``LinkMonitor``; for other users of the same batches."""
-        return self._monitor.sequences
 
     def write_faults(self, faults: Sequence[Fault]) -> None:
         """Send injected faults, with times in ns since 1970."""

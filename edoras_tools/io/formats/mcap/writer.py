@@ -69,6 +69,7 @@ class McapSink(Sink):
     Attributes:
         files: the files written, with their summaries.
         complete: the complete ones, with the number of datagrams in each.
+        datagrams: number of datagrams in the file being written.
 
     Raises:
         CaptureError: from every method: the file cannot be written.
@@ -109,7 +110,7 @@ class McapSink(Sink):
             self._streams.endpoints = options.endpoints
         self._extras: dict[str, int] = {}
         self._noted: list[InterfaceOutage] = []
-        self._count = self._captured = 0
+        self.datagrams = self._captured = 0
         self._number = 0
         self._start_ns = 0
         self._state: Literal["open", "failed", "closed"] = "open"
@@ -140,11 +141,6 @@ class McapSink(Sink):
     def output(self) -> OutputFile:
         """The file being written."""
         return self.files[-1].output
-
-    @property
-    def datagrams(self) -> int:
-        """Number of datagrams in that file."""
-        return self._count
 
     def write(self, batch: PacketBatch, columns: Columns) -> None:
         """Write a batch and its columns."""
@@ -221,7 +217,7 @@ class McapSink(Sink):
 
     def _append(self, batch: PacketBatch, columns: Columns) -> None:
         self._attach(int(batch.time_ns[0]))
-        if not self._count and any(map(len, latched := self._streams.latched(int(batch.time_ns[0])))):
+        if not self.datagrams and any(map(len, latched := self._streams.latched(int(batch.time_ns[0])))):
             self._chunks.append(latched, 1)
         prepared = self._streams.prepare(batch, columns)
         self._links.update(np.flatnonzero(np.bincount(columns.link)).tolist())
@@ -232,7 +228,7 @@ class McapSink(Sink):
             self._chunks.append_batch(batch, columns, prepared, last=last)
         else:
             self._chunks.append(self._streams.prepared_messages(batch, columns, prepared), len(batch))
-        self._count += len(batch)
+        self.datagrams += len(batch)
         self._captured += int(np.count_nonzero((batch.original_length >= 0) | (batch.recorded is not None)))
 
     def _packed(self, batch: PacketBatch, columns: Columns, prepared: PreparedBatch) -> list[PackedChunks]:
@@ -242,26 +238,26 @@ class McapSink(Sink):
 
     def _make_room(self, batch: PacketBatch, first: int) -> int:
         """Start a new file if row ``first`` needs one; return the end of the rows that fit into the file."""
-        last = len(batch)
+        options, last = self._options, len(batch)
         now = int(batch.time_ns[first])
-        if self._options.split_count and self._count >= self._options.split_count:
+        if options.split_count and self.datagrams >= options.split_count:
             self._next_file()
-        if self._options.split_ns and self._count and now - self._start_ns >= self._options.split_ns:
+        if options.split_ns and self.datagrams and now - self._start_ns >= options.split_ns:
             self._next_file()
-        if self._options.split_bytes and self._count and self._chunks.size_bound >= self._options.split_bytes:
+        if options.split_bytes and self.datagrams and self._chunks.size_bound >= options.split_bytes:
             self.flush()
-            if self.files[-1].size >= self._options.split_bytes * (1 - 1 / _STEPS):
+            if self.files[-1].size >= options.split_bytes * (1 - 1 / _STEPS):
                 self._next_file()
-        if self._count == 0:
+        if self.datagrams == 0:
             self._start_ns = now
-        if self._options.split_count:
-            last = min(last, first + self._options.split_count - self._count)
-        if self._options.split_ns:
-            late = np.flatnonzero(batch.time_ns[first:last] - self._start_ns >= self._options.split_ns)
+        if options.split_count:
+            last = min(last, first + options.split_count - self.datagrams)
+        if options.split_ns:
+            late = np.flatnonzero(batch.time_ns[first:last] - self._start_ns >= options.split_ns)
             last = first + int(late[0]) if len(late) else last
-        if self._options.split_bytes:
+        if options.split_bytes:
             filled = np.cumsum(batch.frame_length[first:last].astype(np.int64) + _ROW_BYTES)
-            step = int(np.searchsorted(filled, self._options.split_bytes // _STEPS))
+            step = int(np.searchsorted(filled, options.split_bytes // _STEPS))
             last = min(last, first + max(step, _STEP_ROWS))
         return last
 
@@ -284,7 +280,7 @@ class McapSink(Sink):
 
     def _begin(self, file: McapFile) -> None:
         """Write what precedes the messages."""
-        self._count = self._captured = 0
+        self.datagrams = self._captured = 0
         self._extras = {}
         self._links: set[int] = set()
         streams = self._streams
@@ -362,7 +358,7 @@ class McapSink(Sink):
     def _attach(self, time_ns: int) -> None:
         """Write the mission files before the first chunk of a file, so that a cut-off recording has them."""
         file = self.files[-1]
-        if self._count == 0 and not file.summary.attachments:
+        if self.datagrams == 0 and not file.summary.attachments:
             for name, data in self._mission.files.items():
                 file.add_attachment(name, "application/yaml", data, max(time_ns, 0))
 
