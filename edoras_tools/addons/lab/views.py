@@ -380,7 +380,7 @@ def _show(demo: Demo, moment: Moment) -> Group:
     return Group(
         *_view(moment, demo.tracks),
         Text(),
-        *(one_line(plain(line, palette.DIM)) for line in list(demo.last_events)[-_EVENTS:]),
+        *(one_line(plain(line, palette.DIM)) for line in list(demo.events)[-_EVENTS:]),
         one_line(Text(beside(moment.summary), palette.DIM)),
         Text("Ctrl-C ends", palette.DIM),
     )

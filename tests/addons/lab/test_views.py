@@ -106,7 +106,7 @@ def summary():
 
 class Running:
     tracks = [[(0.0, 0.0), (1.0, 2.0)]]  # noqa: RUF012  a stand-in
-    last_events = ["first", "EVS Port1 66/1/SBN 5: Peer 66:3 connected."]  # noqa: RUF012  likewise
+    events = ["first", "EVS Port1 66/1/SBN 5: Peer 66:3 connected."]  # noqa: RUF012  likewise
 
     def __init__(self, summary):
         self._summary = summary

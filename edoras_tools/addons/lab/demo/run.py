@@ -205,11 +205,6 @@ class Demo:
         return [list(item.track) for item in self.station.seen]
 
     @property
-    def last_events(self) -> list[str]:
-        """The last events of cFS, oldest first."""
-        return list(self.events)
-
-    @property
     def failure(self) -> EdorasError | None:
         """Error that ended recording early, if any."""
         return self.bridges.recorder.failure if self.bridges.recorder else None
