@@ -126,7 +126,7 @@ class ColumnDecoder:
         if not len(batch):  # live sources give many
             return self._nothing
         if batch.recorded is not None:
-            from edoras_tools.decode.recorded import recorded_columns
+            from edoras_tools.decode.stack import recorded_columns
 
             return recorded_columns(batch, blank_columns(len(batch)), self.context)
         return self.finish(batch, self.begin(batch))

@@ -23,8 +23,7 @@ import numpy as np
 
 from edoras_tools.cfs.arguments import ARGUMENTS, argument_words
 from edoras_tools.decode.filters.layers import held_messages, slot_values, structs_of
-from edoras_tools.decode.recorded import recorded_topic
-from edoras_tools.decode.stack import Dissector
+from edoras_tools.decode.stack import Dissector, recorded_topic
 from edoras_tools.decode.summary import LAYER_TEXTS, message_texts, packet_text
 from edoras_tools.errors import TruncatedError
 from edoras_tools.links import table

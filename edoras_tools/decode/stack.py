@@ -2,29 +2,39 @@
 
 Decoding is lenient: only an impossible length stops it, and all that was read before is kept. Offsets and
 findings are the same as those of :mod:`edoras_tools.decode.columns` for a batch.
+
+A message of a recording without datagrams is a row whose route is its topic (``PacketBatch.recorded``): it has
+no link and no MsgId, only a time, bytes and values. Its columns are here too.
 """
 
 from __future__ import annotations
 
+import json
 from copy import copy
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools import model
 from edoras_tools.cfs.software_bus import SOFTWARE_BUS_MAXIMUM
 from edoras_tools.decode.columns import link_of
-from edoras_tools.decode.recorded import dissect_recorded
-from edoras_tools.decode.summary import summarise
+from edoras_tools.decode.summary import leaves_of, short_values, summarise
 from edoras_tools.errors import EdorasError, TruncatedError, WireError
 from edoras_tools.links.doors import Endpoints, Peers, Reading
 from edoras_tools.links.table import protocol
+from edoras_tools.model import NO_FINDINGS, OTHER, Columns, Decoded, Finding, Layer, LayerField, RosMessage
 from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire import ccsds, cfe
+from edoras_tools.wire.arrays import by_value
 from edoras_tools.wire.envelope import CDR_BE, CDR_LE, DEFAULT, ENCAPSULATION, ROUNDED, detect
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from edoras_tools.decode.context import Context
+    from edoras_tools.mission import RecordedTopic
+    from edoras_tools.model import Datagram, PacketBatch
     from edoras_tools.ros import TypeStore
 
 
@@ -335,3 +345,79 @@ class _Dissection(Reading):
         text = "yes: bytes of an earlier, longer message" if stale else "no: zeros"
         fields = (field, model.LayerField("stale", stale, start, len(self.data), text))
         self.layers.append(model.Layer("padding", "Padding", start, len(self.data), fields))
+
+
+JSON_ENCODING: Final = "json"
+RECORDED_LAYER: Final = "recorded"
+"""Name of the layer with the recording's fields of a message."""
+
+
+def recorded_columns(batch: PacketBatch, columns: dict[str, NDArray[Any]], context: Context) -> Columns:
+    """Return the columns of messages.
+
+    Args:
+        columns: columns that hold their values for "none".
+    """
+    assert batch.recorded is not None, "they are messages"
+    columns["route"] = batch.recorded["topic"].astype(np.int16)
+    columns["sequence_count"] = batch.recorded["sequence"].astype(np.uint16)
+    columns["cdr_offset"], columns["cdr_length"] = batch.offset.copy(), batch.length.copy()
+    for place, rows in by_value(columns["route"]):
+        topic = context.mission.recorded[place]
+        if topic.unread or context.types is None:
+            columns["cdr_offset"][rows], columns["cdr_length"][rows] = -1, 0
+            continue
+        valid = context.types.valid(topic.type, batch.data, batch.offset[rows], batch.length[rows])
+        columns["findings"][rows[~valid]] |= np.uint32(Finding.CDR_INVALID)
+    return Columns(**columns)
+
+
+def dissect_recorded(datagram: Datagram, context: Context, *, detail: bool) -> Decoded:
+    """Return the complete decoding of one message; see ``Dissector``."""
+    topic, route = context.mission.recorded[datagram.topic], context.mission.routes[datagram.topic]
+    data, findings = datagram.payload, NO_FINDINGS
+    about = {"topic": route.topic, "type": topic.type, "encoding": topic.encoding}
+    fields = tuple(LayerField(name, text, 0, 0) for name, text in about.items())
+    layers: tuple[Layer, ...] = (Layer(RECORDED_LAYER, "Recorded message", 0, len(data), fields),)
+    message: RosMessage | None = None
+    stop: EdorasError | None = None
+    if topic.encoding == JSON_ENCODING:
+        message, stop = _json(topic, route.topic, data)
+        if detail and message:
+            leaves = tuple(LayerField(path, value, 0, len(data)) for path, value in leaves_of(message.values))
+            layers += (Layer("ros", topic.type or JSON_ENCODING, 0, len(data), leaves),)
+    elif topic.unread or context.types is None:
+        stop = WireError(topic.unread)
+    else:
+        try:
+            message = RosMessage(topic.type, route.topic, context.types.decode(topic.type, data), data)
+            if detail:
+                layers += _values(topic.type, data, context)
+        except WireError as error:
+            findings, stop = Finding.CDR_INVALID, error
+    summary = short_values(message.values) if message else str(stop)
+    return Decoded(datagram, OTHER, layers, findings, message, stop, summary)
+
+
+def recorded_topic(decoded: Decoded) -> tuple[str, str]:
+    """Return topic and type of a message that ``dissect_recorded`` read, or could not read."""
+    layer = decoded.layer(RECORDED_LAYER)
+    assert layer is not None, "it is a message of a recording"
+    values = layer.values()
+    return values["topic"], values["type"]
+
+
+def _json(topic: RecordedTopic, name: str, data: bytes) -> tuple[RosMessage | None, EdorasError | None]:
+    try:
+        values = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        return None, WireError(f"is not JSON: {str(error).partition(chr(10))[0]}")
+    values = values if isinstance(values, dict) else {"value": values}
+    return RosMessage(topic.type, name, values, data), None
+
+
+def _values(kind: str, data: bytes, context: Context) -> tuple[Layer, ...]:
+    assert context.types is not None, "the type is known"
+    spans = context.types.spans(kind, data)
+    values = tuple(LayerField(path, value, low, high) for path, value, low, high in spans)
+    return (Layer("ros", kind, ENCAPSULATION.size, len(data), values),)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from msgspec.structs import replace
 
 from edoras_tools.decode import ColumnDecoder, Context
-from edoras_tools.decode.recorded import JSON_ENCODING
+from edoras_tools.decode.stack import JSON_ENCODING
 from edoras_tools.errors import ConfigError, NoDatagramsError, OnFailure
 from edoras_tools.io.formats.open import merge_sources, open_file
 from edoras_tools.io.formats.rosbag2.reader import MessageSource, NumberedTopics

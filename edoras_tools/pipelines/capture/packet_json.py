@@ -20,7 +20,7 @@ import numpy as np
 
 from edoras_tools.decode.filters.layers import slot_values
 from edoras_tools.decode.lines import Contents, endpoints, links_of, message_rows, read_whole
-from edoras_tools.decode.recorded import RECORDED_LAYER, recorded_topic
+from edoras_tools.decode.stack import RECORDED_LAYER, recorded_topic
 from edoras_tools.decode.summary import Group, grouped_columns
 from edoras_tools.io.formats.columns import json_value, value_texts
 from edoras_tools.links.protocol import LinkProtocol

@@ -13,7 +13,7 @@ from itertools import groupby, islice, zip_longest
 from typing import Any, Final, Literal, NamedTuple
 
 from edoras_tools.decode.lines import line_of
-from edoras_tools.decode.recorded import recorded_topic
+from edoras_tools.decode.stack import recorded_topic
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.frames.linklayer import checksum_fault
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Layer, LayerField
