@@ -33,12 +33,19 @@ if TYPE_CHECKING:
 
 _USUAL: Final = SimProfile()
 _BURST_NS: Final = 20 * MILLISECOND
+"""Messages that follow each other within this time are one burst."""
 _LEAST: Final = 20
+"""Least number of times between bursts, or of rounds, that show anything."""
 _OFTEN: Final = 0.2
+"""Least share of the times that are one period."""
 _NEAR: Final = 0.15
+"""Share of a period within which times belong to it."""
 _MULTIPLES: Final = 6
+"""Up to so many periods, times have to be multiples of the period,"""
 _NEARLY_ALL: Final = 0.8
+"""this share of them at least."""
 _FULL: Final = 0.3
+"""Least share of full rounds."""
 _SMALL: Final = 6
 """Larger rounds count as full with one message less."""
 _WAITS: Final = 0.7, 1.3
@@ -139,6 +146,7 @@ def _usual(profile: SimProfile, name: str) -> bool:
 
 
 def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
+    """Return the period of Command Ingest's rounds, ns; None if the last hop does not show it (rule 1)."""
     # Commands wait only for Command Ingest on their way to the last hop.
     last = [hop for hop in hops if hop.into.link.only_to_cfs and hop.out.link.last_hop]
     out = [rows.time_ns[hop.out.rows[hop.out_rows]] for hop in last]

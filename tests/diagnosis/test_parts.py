@@ -87,7 +87,7 @@ def test_what_is_missing_lies_between_a_row_and_its_next(link, between):
 
 def track(*values, name="msg_limits", restarted=()):
     steps = np.isin(np.arange(len(values) - 1), restarted)
-    return Track.of(np.arange(len(values)) * SECOND, {name: np.array(values)}, steps)
+    return Track(np.arange(len(values)) * SECOND, {name: np.array(values)}, steps)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_behind_a_restart_a_counter_has_grown_from_0_also_where_it_did_not_fall(
 def test_of_samples_that_are_close_together_the_last_is_enough():
     made_ns = np.array([0, 1, 40, 90, 100, 150, 330]) * MILLISECOND
     counts = np.array([3, 4, 9, 0, 1, 2, 7])
-    history = Track.of(made_ns, {"msg_limits": counts}, np.zeros(6, bool))
+    history = Track(made_ns, {"msg_limits": counts}, np.zeros(6, bool))
     assert history.times == [0, 90 * MILLISECOND, 150 * MILLISECOND, 330 * MILLISECOND]
     assert history.totals["msg_limits"] == [0, 6, 8, 13]
     assert history.set_back == [0]

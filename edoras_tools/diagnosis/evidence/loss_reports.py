@@ -18,8 +18,6 @@ from edoras_tools.wire.arrays import Integers, Mask, Places, distinct, numbered
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from typing_extensions import Self
-
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads, Samples
     from edoras_tools.diagnosis.evidence.table import Rows
 
@@ -31,8 +29,13 @@ _LEAST_IDLE: Final = 3
 _WIDTHS: Final = {"pipe_overflows": 16, "msg_limits": 16, "no_subscribers": 8, "send_errors": 8}
 
 
-class Track(msgspec.Struct):
+class Track:
     """The bus counters of one instance, from its first captured 0x803 on.
+
+    Args:
+        made_ns: i64 (n,), times at which the samples were made, strictly increasing; at least one.
+        counters: name of a counter to its values, i64 (n,).
+        restarted: bool (n - 1,), cFS was started again since the sample before.
 
     Attributes:
         times: capture times, ns, at which the samples were made.
@@ -42,19 +45,30 @@ class Track(msgspec.Struct):
             unknown.
     """
 
-    times: list[int] = msgspec.field(default_factory=list)
-    totals: dict[str, list[int]] = msgspec.field(default_factory=dict)
-    older: dict[str, int] = msgspec.field(default_factory=dict)
-    set_back: list[int] = msgspec.field(default_factory=list)
+    def __init__(self, made_ns: Integers, counters: Mapping[str, Integers], restarted: Mask) -> None:
+        at = distinct(np.array([0, *np.flatnonzero(np.diff(made_ns // _APART_NS)), len(made_ns) - 1]))
+        set_back = restarted.copy()
+        self.times: list[int] = made_ns[at].tolist()
+        self.totals: dict[str, list[int]] = {}
+        self.older: dict[str, int] = {}
+        for name, values in counters.items():
+            modulus = 1 << _WIDTHS[name]
+            steps = np.diff(values) % modulus
+            # A step down by little is a reset, and no wrap. Counters of 8 bits wrap too often to decide.
+            reset = (np.diff(values) < 0) & (steps > modulus // 2) | restarted
+            set_back |= reset & (modulus > _BYTE)
+            grown = np.cumsum(np.where(reset, values[1:], steps))
+            self.older[name] = int(values[0])
+            self.totals[name] = np.append(0, grown)[at].tolist()
+        places = np.searchsorted(at, np.flatnonzero(set_back), "right") - 1
+        self.set_back: list[int] = distinct(places).tolist()
 
     def growth(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> int:
-        """Return by how much a counter grew between two times; 0 without samples.
+        """Return by how much a counter grew between two times.
 
         The growth is that from the last sample before ``start_ns`` to the first one after ``end_ns``. So it
         includes all losses in between.
         """
-        if not self.times:
-            return 0
         last, totals = len(self.times) - 1, self.totals[name]
         low = 0 if start_ns is None else max(bisect_right(self.times, start_ns) - 1, 0)
         high = last if end_ns is None else min(bisect_left(self.times, end_ns), last)
@@ -82,30 +96,7 @@ class Track(msgspec.Struct):
 
     def watches(self, time_ns: int) -> bool:
         """Return whether a time lies between the first and the last sample."""
-        return bool(self.times) and self.times[0] <= time_ns <= self.times[-1]
-
-    @classmethod
-    def of(cls, made_ns: Integers, counters: Mapping[str, Integers], restarted: Mask) -> Self:
-        """Return the history of some samples.
-
-        Args:
-            made_ns: i64 (n,), times at which the samples were made, strictly increasing.
-            counters: name of a counter to its values, i64 (n,).
-            restarted: bool (n - 1,), cFS was started again since the sample before.
-        """
-        at = distinct(np.array([0, *np.flatnonzero(np.diff(made_ns // _APART_NS)), len(made_ns) - 1]))
-        track, set_back = cls(made_ns[at].tolist()), restarted.copy()
-        for name, values in counters.items():
-            modulus = 1 << _WIDTHS[name]
-            steps = np.diff(values) % modulus
-            # A step down by little is a reset, and no wrap. Counters of 8 bits wrap too often to decide.
-            reset = (np.diff(values) < 0) & (steps > modulus // 2) | restarted
-            set_back |= reset & (modulus > _BYTE)
-            grown = np.cumsum(np.where(reset, values[1:], steps))
-            track.older[name] = int(values[0])
-            track.totals[name] = np.append(0, grown)[at].tolist()
-        track.set_back = distinct(np.searchsorted(at, np.flatnonzero(set_back), "right") - 1).tolist()
-        return track
+        return self.times[0] <= time_ns <= self.times[-1]
 
 
 def tracks(
@@ -139,7 +130,7 @@ def tracks(
                 for start_ns, end_ns in (item[1:] for item in resets if item[0] == index):
                     restarted |= (seen_ns[:-1] <= start_ns) & (end_ns <= seen_ns[1:])
                 counters = dict(zip(_WIDTHS, values, strict=True))
-                by_instance[index] = Track.of(instances.made_ns[at], counters, restarted)
+                by_instance[index] = Track(instances.made_ns[at], counters, restarted)
                 break
     return by_instance
 

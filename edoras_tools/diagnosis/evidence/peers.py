@@ -146,16 +146,16 @@ class Connection:
         self.peer, self.observer = (name for name, _ in ends)
         self._rows, self.heard, self.sent, self._outages = rows, heard, sent, network.outages
         self.heard_ns, self._kinds = rows.time_ns[heard], rows.sbn_msg_type[heard]
-        self.said_ns, said = rows.time_ns[sent], rows.sbn_msg_type[sent]
-        app, subs = sent[said == sbn.MsgType.APP], self.said_ns[said == sbn.MsgType.SUB]
+        self.said_ns, kinds = rows.time_ns[sent], rows.sbn_msg_type[sent]
+        app, subs = sent[kinds == sbn.MsgType.APP], self.said_ns[kinds == sbn.MsgType.SUB]
         self.sent_ns = rows.time_ns[app]
         self._answers = self.heard_ns[self._kinds == sbn.MsgType.PROTO]
         self.seldom_ns, self._timeout_ns = network.seldom_ns, network.timeout_ns
         self.streamed = bool(rows.streamed[heard].any())
-        to_connected = sent[np.isin(said, _TO_CONNECTED)]
+        to_connected = sent[np.isin(kinds, _TO_CONNECTED)]
         greeted = (rows.sbn_msg_type[to_connected[:1]] == sbn.MsgType.PROTO).any()
         first = int(np.append(to_connected if greeted else sent, heard)[0])
-        self.changes = self._states(first, _disconnect_spans(self.said_ns, said))
+        self.changes = self._states(first, _disconnect_spans(self.said_ns, kinds))
         self._believe()
         self._add_unseen(subs, rows.missing[app[1:]])
         quiet = [at for at, own in enumerate(self.changes) if own.state == "silent"]

@@ -284,10 +284,8 @@ def _disordered(rows: Rows) -> int:
 def _mission_times_go_back(rows: Rows, far: Places) -> bool:
     """Return whether mission times also go back where capture times do: then no clock was set."""
     timed = np.flatnonzero((rows.mission_time_ns > 0) & rows.on(lambda link: link.from_cfs))
-    if not len(timed):
-        return False
     offset, votes = rows.delay_ns(timed), 0
-    for row in far[far < timed[-1]].tolist():
+    for row in far[far < timed.max(initial=0)].tolist():
         at = int(np.searchsorted(timed, row, side="right"))
         # Only times of one sender are compared: clocks of two cFS differ.
         before = np.flatnonzero(rows.source[timed[:at]] == rows.source[timed[at]])

@@ -253,8 +253,8 @@ def proxy_faults(case: Case) -> Iterator[Verdict]:
         yield note(reason, "what the proxy dropped is among them", hop=PROXY_HOP, remedy="none")
     for (link, to_cfs, msg_id), item in case.proxied.items():
         struck = {f"struck by {kind}": number for kind, number in item.others.items()}
-        done = {"dropped": len(item.dropped), "sent again": item.doubled} | struck
-        counts = [f"{number:,} {action}" for action, number in done.items() if number]
+        actions = {"dropped": len(item.dropped), "sent again": item.doubled} | struck
+        counts = [f"{number:,} {action}" for action, number in actions.items() if number]
         way = "to cFS" if to_cfs else "from cFS"
         yield verdict(
             Severity.WARNING if item.dropped else Severity.NOTE,

@@ -8,13 +8,14 @@ from edoras_tools.diagnosis.evidence.clocks import steady
 from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.workbench import Settings
+from edoras_tools.sessions.sequence import MODULUS
 
 counts = st.dictionaries(st.tuples(st.integers(0, 5)), st.integers(0, 40), max_size=6)
 
 
 def goes_on(last: dict[tuple[int, ...], int], begin: dict[tuple[int, ...], int]) -> bool:
     """Ask one pair, as it is defined."""
-    steps = {item: (begin[item] - last[item]) % steady.MODULUS for item in begin if item in last}
+    steps = {item: (begin[item] - last[item]) % MODULUS for item in begin if item in last}
     taken = [item for item, step in steps.items() if 0 < step <= steady._NEXT]
     few = len(steps) <= 2 and any(begin[item] <= steady._NEXT for item in steps)  # a boot begins as low
     return bool(steps) and not few and len(taken) > steady._MOST_GO_ON * len(steps)
