@@ -247,7 +247,7 @@ def _recorded(path: Path, settings: Settings, progress: Progress | None) -> alig
                 progress.read(source)
             if len(recorder) >= _MOST:
                 break
-    return alignment.Side.of(recorder)
+    return alignment.Side(recorder)
 
 
 def _readable(source: Source) -> Iterator[PacketBatch]:

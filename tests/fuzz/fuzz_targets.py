@@ -334,7 +334,7 @@ def diagnosis(data: bytes) -> Hashable:
         assert min(row.all_lost for row in item.balance) >= 0 if item.balance else True
     between = compare_captures(tables[0], tables[1], mission)
     hold(between.as_json(), "against")
-    align(*map(Side.of, tables))
+    align(*map(Side, tables))
     for good, bad in (runs, runs[::-1]):
         report = comparison_json([good], [bad], compare_runs([good], [bad], DifferenceLimits()))
         check({"schema": 1, **json.loads(json.dumps(report, allow_nan=False))}, _SCHEMAS["compare"])

@@ -211,7 +211,7 @@ def compare_captures(first: Recorder, second: Recorder, mission: Mission) -> Cap
     """Compare two captures of one spacecraft."""
     topics: dict[_Key, str] = {(route.link, route.msg_id): route.topic for route in mission.routes}
     sides = _side(first), _side(second)
-    fit = align(Side.of(first), Side.of(second))
+    fit = align(Side(first), Side(second))
     line = _line(fit) if fit else ClockLine(0, _equal(*(side.rows for side in sides)))
     keys = sorted({key for side in sides for key in _keys(side.rows)})
     a, b = _identified(sides, keys)

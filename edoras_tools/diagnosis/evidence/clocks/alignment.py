@@ -59,10 +59,6 @@ from edoras_tools.words import seconds
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from typing_extensions import Self
-
-    from edoras_tools.diagnosis.evidence.payloads import EventRecord
-
     _Pairs = tuple[Integers, Integers]
     """Capture times of causes, and of their effects: i64 (n,) each, ns."""
 
@@ -83,22 +79,19 @@ _MANY: Final = 20
 """Least number of messages of one direction so that one of them had almost no delay."""
 
 
-class Side(msgspec.Struct, frozen=True, eq=False, dict=True):
-    """One of two captures, as far as it is needed for the comparison: rows, events and endpoints."""
+class Side:
+    """One of two captures, as far as it is needed for the comparison: rows, events and endpoints.
 
-    rows: Rows
-    events: Sequence[EventRecord]
-    endpoints: Sequence[Endpoint]
+    Messages of TCP streams were numbered in each capture alone, so their identifications are set to 0.
 
-    @classmethod
-    def of(cls, recorder: Recorder) -> Self:
-        """Return the side of a recorder; the recorder is not needed afterwards.
+    Args:
+        recorder: recorder of the capture, not needed afterwards.
+    """
 
-        Messages of TCP streams were numbered in each capture alone, so their identifications are set to 0.
-        """
+    def __init__(self, recorder: Recorder) -> None:
         rows = recorder.rows()
-        rows = replace(rows, identification=np.where(rows.streamed, np.uint16(0), rows.identification))
-        return cls(rows, recorder.payloads.events, recorder.endpoints)
+        self.rows = replace(rows, identification=np.where(rows.streamed, np.uint16(0), rows.identification))
+        self.events, self.endpoints = recorder.payloads.events, recorder.endpoints
 
     @cached_property
     def instances(self) -> Instances:
