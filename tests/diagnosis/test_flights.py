@@ -158,6 +158,7 @@ FLIGHTS = {
     "started_after_its_bridge": (108, {"down": 88, "limit": 20}),
     "every_datagram_twice_flight": (41, {"limit": 41}),
     "every_datagram_twice_ground": (41, {"limit": 41}),
+    "hardly_ran": (153, {"limit": 153}),
     "bits_changed_on_the_way_flight": (5, {"bad_command": 3, "no_subscriber": 2}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
@@ -1974,6 +1975,13 @@ def test_what_sbn_sent_before_its_goodbye_may_come_late(tmp_path, name):
     moved = sorted([*items[:last], *items[last + 1 :], late], key=lambda item: item.time_ns)
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", moved))
     assert by_cause(found) == by_cause(examined(name))
+
+
+def test_a_cfs_that_hardly_runs_is_named_once():
+    found = examined("hardly_ran")
+    rules = [item.rule for item in found.verdicts if item.rule in {"cfs_stalled", "topic_silent"}]
+    assert rules == ["cfs_stalled"]
+    assert "hardly ran from 15.4 s to 23.9 s; 111 messages sent to it then had to wait" in first_screen(found)
 
 
 @pytest.mark.parametrize("port", [1234, 7410])

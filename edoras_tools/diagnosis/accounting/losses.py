@@ -399,13 +399,14 @@ def may_give_way(case: Case, hops: list[Hop], absent: Mask, times: Integers) -> 
     left_ns = np.sort(np.concatenate([hop.out.time_ns for hop in hops]))
     for system, owner in case.timeline.subjects:
         sleeps = owner.kind == "app" and owner.name in executive_services.SCHEDULERS
-        states = ("stopped", "restarting") if sleeps else ("stalled",)
+        states = ("stopped", "restarting", "stalled") if sleeps else ("stalled",)
         for span in (span for state in states for span in case.timeline.spans(owner, state, system)):
-            until_ns = span.end_hi + SECOND
-            if sleeps:  # the first message behind the stop shows that the scheduler works again
-                awake = left_ns[(left_ns > span.end_lo) & (left_ns <= span.end_hi + READY_NS)]
-                until_ns = max([until_ns, *awake[:1].tolist()])
-            out[rows] |= (times[rows] > span.start_lo - SECOND) & (next_ns <= until_ns)
+            since_ns, until_ns = span.start_lo - SECOND, span.end_hi + SECOND
+            if sleeps:  # the messages around the stop show when the scheduler works
+                awake = left_ns[(left_ns > span.start_lo - READY_NS) & (left_ns <= span.end_hi + READY_NS)]
+                since_ns = min([since_ns, *awake[awake < span.start_lo][-1:].tolist()])
+                until_ns = max([until_ns, *awake[awake > span.end_lo][:1].tolist()])
+            out[rows] |= (times[rows] > since_ns) & (next_ns <= until_ns)
     return out
 
 

@@ -1,8 +1,11 @@
 """Finds the times in which a whole cFS stood still: stopped by its host, starved, or stuck in one task.
 
+One that is starved may run a little: then nothing that its scheduler asks for comes, and other packets do.
+
 Rules, all of which must hold:
 
-1. The capture has no packet of this cFS in that time, although it sent steadily before and after.
+1. The capture has no packet of this cFS, or no housekeeping, in that time, although it sent steadily before
+   and after.
 2. Its streams miss almost no sequence counts there, so it published nothing.
 3. The first packets behind were made after that time, so no network delayed them.
 4. Nothing else explains the silence of these streams: cFS did not boot, what sends them was not switched off,
@@ -25,6 +28,7 @@ from edoras_tools.diagnosis.evidence.timeline.table import (
     Way,
 )
 from edoras_tools.units import SECOND
+from edoras_tools.wire.cfe import EVENT_MSG_ID
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -43,6 +47,10 @@ _EDGE: Final = 8
 _BEHIND: Final = 8
 """Number of messages, from the last one before the pause on, whose mission times are checked."""
 _CFS: Final = StateOwner("cfs")
+_SCHEDULER: Final = StateOwner("app", min(SCHEDULERS))
+_UNWOKEN: Final = "no housekeeping"
+_WOKEN_NS: Final = 3 * SECOND
+"""A scheduler may miss a tick or two."""
 
 
 def stalls(
@@ -57,33 +65,37 @@ def stalls(
     robot = rows.on(lambda link: link.last_hop)
     asleep = [item for item in timeline.every(*NOT_RUNNING) if item.change.subject.name in SCHEDULERS]
     for system in sorted(set(instances.systems)):
-        # Datagrams to a robot may come from any of the cFS.
-        times = rows.time_ns[(whose == system) | robot]
-        steps = np.diff(times)
-        if len(steps) < _LEAST_STREAMS:
-            continue
         mine = [
             item
             for item in streams
             if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
         ]
-        pauses = steps[steps > SECOND // 20]
-        usual_ns = int(np.quantile(pauses, 0.9)) if len(pauses) else 0
-        for at in np.flatnonzero(steps > max(_LEAST_NS, _FACTOR * usual_ns)).tolist():
-            start_ns, end_ns = times[at : at + 2].tolist()
-            if any(span.change.system == system and span.overlaps(start_ns, end_ns) for span in asleep):
-                continue
-            own = [
-                item
-                for item in mine
-                if item.time_ns[0] <= start_ns < item.time_ns[-1]
-                if not timeline.blocking(Way(item.msg_id, item.link, system), start_ns, end_ns)
-            ]
-            if _published_nothing(instances, own, (start_ns, end_ns), usual_ns):
-                text = f"nothing came of it for {(end_ns - start_ns) / SECOND:.1f} s"
-                text += ", no count is missing, and it went on as before"
-                yield Change(system, _CFS, "stalled", start_ns, start_ns + usual_ns, text)
-                yield Change(system, _CFS, "running", end_ns - usual_ns, end_ns, "it sends again")
+        woken = [item for item in mine if item.is_housekeeping and item.known_id != EVENT_MSG_ID]
+        # Datagrams to a robot may come from any of the cFS.
+        every = rows.time_ns[(whose == system) | robot]
+        due_ns = np.sort(np.concatenate([every[:0], *(item.time_ns for item in woken)]))
+        still = [(span.start_lo, span.end_hi) for span in asleep if span.change.system == system]
+        subjects = (_CFS, "nothing", every, mine, _LEAST_NS), (_SCHEDULER, _UNWOKEN, due_ns, woken, _WOKEN_NS)
+        for subject, absence, times, able, least_ns in subjects:
+            steps = np.diff(times)
+            pauses = steps[steps > SECOND // 20]
+            usual_ns = int(np.quantile(pauses, 0.9)) if len(pauses) else 0
+            for at in np.flatnonzero(steps > max(least_ns, _FACTOR * usual_ns)).tolist():
+                start_ns, end_ns = times[at : at + 2].tolist()
+                if any(first < end_ns and start_ns < last for first, last in still):
+                    continue
+                own = [
+                    item
+                    for item in able
+                    if item.time_ns[0] <= start_ns < item.time_ns[-1]
+                    if not timeline.blocking(Way(item.msg_id, item.link, system), start_ns, end_ns)
+                ]
+                if _published_nothing(instances, own, (start_ns, end_ns), usual_ns):
+                    still.append((start_ns, end_ns))
+                    text = f"{absence} came of it for {(end_ns - start_ns) / SECOND:.1f} s"
+                    text += ", no count is missing, and it went on as before"
+                    yield Change(system, subject, "stalled", start_ns, start_ns + usual_ns, text)
+                    yield Change(system, subject, "running", end_ns - usual_ns, end_ns, "it sends again")
 
 
 def _published_nothing(

@@ -257,7 +257,8 @@ def _explained(case: Case, silence: Silence) -> bool:
     stream, start_ns, end_ns = silence.stream, silence.start_ns, silence.end_ns
     system, name = silence.system, case.network.identity_of.get
     way = Way(stream.msg_id, stream.link, system, stream.is_command, name(stream.receiver, ""))
-    spans = case.timeline.blocking(way, start_ns, end_ns)
+    stalls = (item for item in case.timeline.every("stalled") if item.change.system == system)
+    spans = [*case.timeline.blocking(way, start_ns, end_ns), *stalls]
     if stream.link.peers and stream.is_command:
         sender = StateOwner("peer", name(stream.sender, ""))
         for state in ("silent", "timed_out", "disconnected"):
@@ -374,10 +375,12 @@ def cfs_stalled(case: Case) -> Iterator[Verdict]:
         into = rows.on(lambda link: link.only_to_cfs)
         into |= rows.on(lambda link: link.peers) & (rows.function_code >= 0)
         sent = int((into & (rows.time_ns > span.start_lo) & (rows.time_ns < span.end_hi)).sum())
-        waited = f"; {plural(sent, 'message')} sent to it then had to wait, and came at once" * bool(sent)
+        whole = span.change.subject.kind == "cfs"
+        waited = f"; {plural(sent, 'message')} sent to it then had to wait" + ", and came at once" * whole
         whose = case.label(case.instances.systems.index(span.change.system))
         yield warning(
-            f"{whose} stood still from {case.at(span.start_lo)} to {case.at(span.end_hi)}{waited}",
+            f"{whose} {'stood still' if whole else 'hardly ran'} from {case.at(span.start_lo)} "
+            f"to {case.at(span.end_hi)}{waited * bool(sent)}",
             span.change.witness,
             hop="cFS",
             span=(span.start_lo, span.end_hi),
