@@ -158,6 +158,7 @@ FLIGHTS = {
     "started_after_its_bridge": (108, {"down": 88, "limit": 20}),
     "every_datagram_twice_flight": (41, {"limit": 41}),
     "every_datagram_twice_ground": (41, {"limit": 41}),
+    "poses_behind_a_goodbye": (12, {"unsubscribed": 12}),
     "hardly_ran": (153, {"limit": 153}),
     "bits_changed_on_the_way_flight": (5, {"bad_command": 3, "no_subscriber": 2}),
 }

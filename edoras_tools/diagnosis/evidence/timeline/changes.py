@@ -348,7 +348,9 @@ def _subscriptions(
     unsubscribed = rows.sbn_msg_type[at] == MsgType.UNSUB
     # A bridge repeats its messages twice a second. So only the first of each content counts: in each
     # connection, and again behind each UNSUB.
-    session = np.searchsorted(begins, rows.time_ns[at] + _WAKE_NS, "right")
+    left_ns = np.array([0, *(item.time_ns for item in changes if item.state == "disconnected"), NEVER])
+    until_ns = np.minimum(rows.time_ns[at] + _WAKE_NS, left_ns[np.searchsorted(left_ns, rows.time_ns[at])])
+    session = np.searchsorted(begins, until_ns, "right")
     first, _ = numbered(session, contents, np.cumsum(unsubscribed), unsubscribed)
     passed, _ = numbered(np.searchsorted(begins, rows.time_ns[sent], "right"), rows.msg_id[sent])
     news = [(row, int(rows.msg_id[row]), "message to") for row in sent[passed].tolist()]
@@ -362,7 +364,8 @@ def _subscriptions(
     text = f"{peer} was connected and had not subscribed to it"
     msg_ids, news_ns = np.array([item[1] for item in news]), rows.time_ns[[item[0] for item in news]]
     for since in begins:
-        soon = msg_ids[np.abs(news_ns - since) <= _WAKE_NS]
+        before = left_ns[np.searchsorted(left_ns, since) - 1]
+        soon = msg_ids[(np.abs(news_ns - since) <= _WAKE_NS) & (news_ns > before)]
         for msg_id in {*msg_ids.tolist()}.difference(soon.tolist()):
             subject = StateOwner("subscription", peer, msg_id)
             yield Change(system, subject, "unsubscribed", since, since + _WAKE_NS, text)
