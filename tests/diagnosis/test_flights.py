@@ -1985,6 +1985,12 @@ def test_a_cfs_that_hardly_runs_is_named_once():
     assert "hardly ran from 15.4 s to 23.9 s; 111 messages sent to it then had to wait" in first_screen(found)
 
 
+def test_a_peer_that_sends_to_another_port_still_reads():
+    found = examined("sent_to_the_wrong_link")
+    assert found.lost + found.unaccounted == 0
+    assert "let SBN peer 66:3 send to SBN's port" in first_screen(found)
+
+
 @pytest.mark.parametrize("port", [1234, 7410])
 def test_fragments_of_other_programs_are_no_commands(tmp_path, port):
     """First fragments of what another host sends, or to another port, as DDS has them."""
@@ -2042,3 +2048,18 @@ def test_a_burst_fills_no_socket_for_what_was_sent_at_another_time(tmp_path, nam
     items.sort(key=lambda item: item.time_ns)
     causes = by_cause(truth.examined(mutations.write(tmp_path / "flight.pcap", items)))
     assert (causes["network"], causes["sbn_socket"]) == (lost, 0)
+
+
+def test_a_peer_that_moves_to_another_address_is_told_to_go_back(tmp_path):
+    items = mutations.frames(FOLDER / "poses_behind_a_goodbye.pcap.zst")
+    start_ns, moved = items[0].time_ns, []
+    for item in items:
+        data = bytearray(item.data)
+        if data[34:36] == (2236).to_bytes(2, "big") and 25 < (item.time_ns - start_ns) / SECOND < 37:
+            data[29] = 44
+        moved.append(item._replace(data=bytes(mutations.summed(data))))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", moved))
+    assert by_cause(found)["sbn_timeout"] >= 20
+    (verdict,) = [item for item in found.verdicts if item.rule == "sbn_timeout"]
+    assert "It went on at 127.0.0.44:2236: cFS hears it there" in verdict.reason
+    assert "start it at the address in cFS's SBN table" in first_screen(found)

@@ -25,7 +25,7 @@ from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays import Integers, Places, by_key, groups, numbered
+from edoras_tools.wire.arrays import Integers, Places, by_key, distinct, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -138,6 +138,7 @@ class Connection:
         heard_ns: i64, capture times of all that the peer sent to the observer.
         seldom_ns: time within which it surely sends something, a heartbeat at least.
         streamed: whether it speaks over TCP.
+        voices_ns: i64, capture times of all that the peer sent, also to other ports.
     """
 
     def __init__(
@@ -149,6 +150,7 @@ class Connection:
         self.said_ns, kinds = rows.time_ns[sent], rows.sbn_msg_type[sent]
         app, subs = sent[kinds == sbn.MsgType.APP], self.said_ns[kinds == sbn.MsgType.SUB]
         self.sent_ns = rows.time_ns[app]
+        self.voices_ns = rows.time_ns[np.isin(rows.source, np.unique(rows.source[heard]))]
         self._answers = self.heard_ns[self._kinds == sbn.MsgType.PROTO]
         self.seldom_ns, self._timeout_ns = network.seldom_ns, network.timeout_ns
         self.streamed = bool(rows.streamed[heard].any())
@@ -162,7 +164,13 @@ class Connection:
         mute = [at for at in quiet if not self._spoke(self.changes[at].time_ns)]
         mute += [at + 1 for at in mute if self.changes[at].why != UNSEEN]
         self.changes = [own for at, own in enumerate(self.changes) if at not in mute]
-        self.restarts = [item for item in self._find_restarts() if self._spoke(item.last_ns)]
+        every = (item for item in self._find_restarts() if self._spoke(item.last_ns))
+        self.restarts = [item for item in every if not self.runs(item.last_ns, item.back_ns)]
+
+    def runs(self, start_ns: int, end_ns: int) -> bool:
+        """Return whether the peer sends to other ports in most of a silence: so it reads what it is sent."""
+        inside = self.voices_ns[(self.voices_ns > start_ns) & (self.voices_ns < end_ns)]
+        return bool(2 * np.diff(inside, prepend=start_ns, append=end_ns).max() < end_ns - start_ns)
 
     def silences(self, end_ns: int) -> Iterator[PeerSilence]:
         """Yield every silence with a time-out, and one that lasts to the end of the capture."""
@@ -180,6 +188,7 @@ class Connection:
             still = back is not None and back.why.startswith("its ") and back.why not in _BEGAN
             silence = PeerSilence(change.time_ns, until_ns, due_ns, given_up_ns, still, answers)
             still |= answers > max(_LEAST_ROWS, len(silence.within(self.sent_ns)) // 2)
+            still |= self.runs(change.time_ns, until_ns)
             yield silence._replace(stood_still=still)
 
     def as_json(self) -> dict[str, Any]:
@@ -409,6 +418,11 @@ class Network:
     def party(self, endpoint: int) -> SbnParty:
         """Return the party at an endpoint; the address distinguishes two with one identity."""
         return self.identity_of.get(endpoint, ""), int(self._hosts[endpoint])
+
+    def speaks_from(self, rows: Rows, peer: str, start_ns: int, end_ns: int) -> list[int]:
+        """Return the endpoints at which somebody uses an identity between two times."""
+        sources = rows.source[slice(*np.searchsorted(rows.time_ns, (start_ns + 1, end_ns)))]
+        return [end for end in distinct(sources).tolist() if self.identity_of.get(end) == peer]
 
     def _connect(self, rows: Rows, network: Places, flight_software: set[str]) -> None:
         parties = [self.party(endpoint) for endpoint in range(len(self._hosts))]

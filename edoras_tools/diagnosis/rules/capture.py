@@ -119,17 +119,21 @@ def not_cfs(case: Case) -> Iterator[Verdict]:
     One line for each port, and one verdict for each stranger.
     """
     flows = case.prepared.flows
+    peers = {case.endpoints[end]: name for end, name in case.network.identity_of.items()}
     for line in foreign(flow for flow in flows if flow.kind is ConversationKind.FOREIGN):
         yield note(line, hop="capture", remedy="none; another program uses this port, and no cFS gets it")
     for flow in flows:
         if flow.kind is ConversationKind.STRANGER:
+            remedy = f"another program at {flow.source.address} sends to this port; move it"
+            if peer := peers.get(flow.source):
+                remedy = f"let SBN peer {peer} send to SBN's port: what it sends here is lost"
             yield warning(
                 f"{flow.datagrams:,} datagrams on port {flow.destination.port} do not look like cFS, left "
                 f"out: {flow.source} sends them to {flow.destination}, where {flow.link.name} is",
                 "none of them is a packet whose length agrees, or has a MsgId that is known",
                 place=(flow.link.label, str(flow.source)),
                 span=(flow.first_ns, flow.last_ns),
-                remedy=f"another program at {flow.source.address} sends to this port; move it",
+                remedy=remedy,
             )
 
 
@@ -194,8 +198,7 @@ def duplicated(case: Case) -> Iterator[Verdict]:
             span = int(rows.time_ns[own].min()), int(rows.time_ns[own].max())
             yield note(reason, why, hop="network", span=span, remedy=remedy)
     rows = case.rows
-    late = np.flatnonzero((rows.reordered != 0) & ~rows.streamed)
-    for _, own in groups(rows.way(), late):
+    for _, own in groups(rows.way(), np.flatnonzero((rows.reordered != 0) & ~rows.streamed)):
         # A row may tell that an earlier one was not late after all.
         if (number := int(rows.reordered[own].sum())) > 0:
             sender, receiver = (case.endpoints[end[own[0]]] for end in (rows.source, rows.destination))

@@ -108,6 +108,10 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
     if silent.stood_still:
         why = "It was not started anew: it stood still, or was cut off, and may read late what it was sent"
         remedy = "look at the load of its host, at who may stop its process, and at the network"
+    elif elsewhere := case.network.speaks_from(case.rows, connection.peer, silent.start_ns, until):
+        where = " and ".join(str(case.endpoints[end]) for end in elsewhere)
+        why = f"It went on at {where}: cFS hears it there, but sends to the address in its table"
+        remedy = "start it at the address in cFS's SBN table (sbn_conf_tbl), or change that table"
     return verdict(
         Severity.ERROR if len(sent) else Severity.WARNING,
         f"SBN peer {connection.peer} fell silent at {case.at(silent.start_ns)} and timed out at "
