@@ -158,6 +158,8 @@ FLIGHTS = {
     "started_after_its_bridge": (108, {"down": 88, "limit": 20}),
     "every_datagram_twice_flight": (41, {"limit": 41}),
     "every_datagram_twice_ground": (41, {"limit": 41}),
+    "poses_doubled": (502, {"limit": 502}),
+    "every_pose_twice": (352, {"limit": 352}),
     "poses_behind_a_goodbye": (12, {"unsubscribed": 12}),
     "hardly_ran": (153, {"limit": 153}),
     "bits_changed_on_the_way_flight": (5, {"bad_command": 3, "no_subscriber": 2}),
@@ -682,6 +684,8 @@ MOST = {
     "fragments_lost_upward": {0x1827: {"network": 35, "restart": 23, "limit": 1}},
     "copies_on_any": {0x1827: {"restart": 32, "limit": 16, "port_closed": 25}},
     "begins_in_a_flood": {0x1827: {"limit": 125}, 0x82D: {"limit": 38}},
+    "poses_doubled": {0x828: {"limit": 467}, 0x1829: {"limit": 35}},
+    "every_pose_twice": {0x828: {"limit": 309}, 0x1829: {"limit": 43}},
 }
 
 

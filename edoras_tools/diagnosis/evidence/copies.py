@@ -404,7 +404,9 @@ def who_doubled(
     out = np.zeros(len(rows), np.int8)
     to_cfs = rows.on(lambda link: link.to_cfs and link.packets)
     once = ~copies.copy
-    answers = np.flatnonzero(once & ~copies.duplicate & rows.on(lambda link: link.from_cfs))
+    alone = once & ~copies.duplicate
+    answers = np.flatnonzero(alone & rows.on(lambda link: link.from_cfs))
+    others = np.flatnonzero(alone & rows.on(lambda link: link.only_to_cfs))
     votes: dict[int, int] = {}
     for receiver in distinct(rows.destination[copies.duplicate & to_cfs]).tolist():
         mine = np.flatnonzero(once & to_cfs & (rows.destination == receiver))
@@ -413,7 +415,9 @@ def who_doubled(
         for track in _tracks(rows, receiver, samples, sources, endpoints):
             vote += _by_counts(rows.time_ns[mine], own, *track)
         if vote >= 0:  # CI also counts datagrams that the capture missed
-            vote = min(vote, int(own.sum())) + _by_answers(rows, mine, own, answers)
+            # SBN carries both ways, so what came in is no answer.
+            vote = min(vote, int(own.sum()))
+            vote += _by_answers(rows, mine, own, np.setdiff1d(answers, mine), others)
         vote *= not 0 < vote <= max(2, own.sum() // 2)  # a few votes may be chance
         votes[receiver] = 2 * vote - int(copies.at_once[mine[own]].sum()) if vote else 0
     whole = sum(votes.values())
@@ -474,25 +478,37 @@ def _by_counts(sent_ns: Integers, again: Mask, seen_ns: Integers, total: Integer
     return min(vote, 0) if lacking else vote  # CI also counts datagrams that the capture missed
 
 
-def _by_answers(rows: Rows, mine: Places, again: Mask, answers: Places) -> int:
+def _by_answers(rows: Rows, mine: Places, again: Mask, answers: Places, others: Places) -> int:
     """Return how many duplicates led to two messages out of cFS, minus those that led to one (rule 4).
+
+    What was lost behind the application says nothing: the others stand for it.
 
     Args:
         rows: table of datagrams.
         mine: rows that went into cFS.
         again: bool, whether each of these is a duplicate.
         answers: rows that came out, without duplicates.
+        others: rows without duplicates to other receivers, for where each of ``mine`` is there twice.
     """
-    values, came = np.unique(rows.body_print[mine], return_counts=True)
-    doubled = np.isin(values, rows.body_print[mine[again]])
     went = np.sort(rows.body_print[answers])
-    number = np.searchsorted(went, values, "right") - np.searchsorted(went, values)
-    alone = number[(came == 1) & ~doubled & (number > 0) & (values != 0)]
+
+    def numbers_of(own: Places) -> tuple[Prints, Places, Places]:
+        values, came = np.unique(rows.body_print[own], return_counts=True)
+        number = np.searchsorted(went, values, "right") - np.searchsorted(went, values)
+        return values, came, number * (values != 0)
+
+    values, came, number = numbers_of(mine)
+    doubled = np.isin(values, rows.body_print[mine[again]])
+    alone = number[(came == 1) & ~doubled & (number > 0)]
+    if not len(alone):
+        _, single, alone = numbers_of(others)
+        alone = alone[(single == 1) & (alone > 0)]
     usual = int(np.median(alone)) if len(alone) else 0  # a message may leave on several links
     if 10 * (alone == 2 * usual).sum() > len(alone):
         return 0  # the application itself repeats messages
-    twice = number[(came == 2) & doubled & (values != 0)]
-    return int((twice == 2 * usual).sum()) - int((twice == usual).sum()) if usual else 0
+    twice = number[(came == 2) & doubled]
+    both, one = (int((twice == times * usual).sum()) for times in (2, 1))
+    return (both - one) * len(twice) // (both + one) if usual and both + one else 0
 
 
 _LEAST_ECHOES: Final = 3
