@@ -208,6 +208,7 @@ RANGES = {
     "restarted_in_a_flood_of_poses": 540,
     "bursts_of_poses_at_once": 1765,
     "restarted_twice_at_15_hz": 213,
+    "peer_takes_poses_too": 638,
 }
 
 
@@ -684,6 +685,7 @@ MOST = {
     "fragments_lost_upward": {0x1827: {"network": 35, "restart": 23, "limit": 1}},
     "copies_on_any": {0x1827: {"restart": 32, "limit": 16, "port_closed": 25}},
     "begins_in_a_flood": {0x1827: {"limit": 125}, 0x82D: {"limit": 38}},
+    "peer_takes_poses_too": {0x1827: {"restart": 16}, 0x1828: {"restart": 11}, 0x1829: {"limit": 3}},
     "poses_doubled": {0x828: {"limit": 467}, 0x1829: {"limit": 35}},
     "every_pose_twice": {0x828: {"limit": 309}, 0x1829: {"limit": 43}},
 }

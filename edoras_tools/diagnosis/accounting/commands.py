@@ -500,7 +500,7 @@ class Commands:
         others as came out with other values, or are missing there by sequence count. No sequence count shows
         those before the first and after the last: these are marked as ``edge``.
         """
-        open_ = np.flatnonzero(fate.open)
+        open_ = np.flatnonzero(fate.open & ~_never_sent(fate))
         for hop in fate.hops:
             fate.strange |= hop.perhaps
             for content in self._case.contents:
@@ -721,6 +721,21 @@ class Commands:
         superseded = min(ends["shared"], ends["superseded"])
         ends["superseded"] -= superseded
         ends["passed_on"] -= ends["shared"] - superseded
+
+
+def _never_sent(fate: Fate) -> Mask:
+    """Return which messages an application never sent on, by the counts of one way out: bool (rows,).
+
+    It publishes once for all receivers of a MsgId: one that gets all shows what others miss.
+    """
+    never = np.zeros(len(fate.stream), bool)
+    for hop in fate.hops if len({hop.out.msg_id for hop in fate.hops}) == 1 < len(fate.hops) else ():
+        if hop.rewritten and hop.out.counted:
+            into, out = _in_order(hop)
+            sent = np.concatenate(([0], np.cumsum(hop.out.missing[:-1] + 1)))[out]
+            behind = np.searchsorted(into, np.arange(len(never)))
+            never |= np.concatenate(([False], np.diff(sent) == 1, [False]))[behind]
+    return never
 
 
 def _in_order(hop: Hop) -> tuple[Places, Places]:

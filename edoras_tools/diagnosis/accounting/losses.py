@@ -137,6 +137,9 @@ class Loss(msgspec.Struct):
 READY_NS: Final = 5 * SECOND
 """Longest time from the start of an application until it processes messages."""
 WAITS_NS: Final = SECOND
+_NEARLY_ALL: Final = 0.9
+_WOKEN_NS: Final = SECOND // 10
+"""No scheduler wakes an application as often as this."""
 """A message sent this shortly before the end may still come out."""
 _LAST: Final = 5
 """Number of messages at the end that show the present delay."""
@@ -314,7 +317,13 @@ class Fate:
 
 
 def _keep_newest(hops: Sequence[Hop]) -> bool:
-    return any(hop.rewritten and hop.out.link.peers for hop in hops)
+    return any(hop.rewritten and hop.out.link.peers and not _sends_each(hop) for hop in hops)
+
+
+def _sends_each(hop: Hop) -> bool:
+    """Return whether nearly all messages come out, though they came faster than any task is woken."""
+    fast = np.ptp(hop.into.time_ns) < _WOKEN_NS * (len(hop.into) - 1)
+    return bool(fast and hop.matched > _NEARLY_ALL * hop.of)
 
 
 def follow(case: Case, stream: Stream) -> Fate:

@@ -194,7 +194,9 @@ def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list
                     hops.append(_match(item, out, came, went, early_ns))
             if out.link.last_hop and (other := ~np.isin(went, came)).any():
                 comes_out.append(replace(out, rows=out.rows[other], time_ns=out.time_ns[other]))
-    return [hop for hop in hops if hop.matched]
+    # Of two streams that seem to follow each other, as a bridge receives and sends too, one came out later.
+    lasts = {(hop.into, hop.out): hop.last_ns for hop in hops if hop.matched}
+    return [hop for hop in hops if hop.matched and hop.last_ns >= lasts.get((hop.out, hop.into), 0)]
 
 
 class _Ends:
