@@ -359,6 +359,7 @@ def settle_possible(
     settle(counts, gaps, _APART_NS)
     tables = _tables(counts, claims).values()
     shared: dict[tuple[int, PipeKind, frozenset[Hashable]], Shared] = {}
+    others = [claim for claim in claims if claim.rank != Rank.MISSING and not rivals]
     has_rest = True
     for rank in sorted({claim.rank for claim in claims if claim.rank >= Rank.POSSIBLE}):
         for place in range(len(COUNTERS)):
@@ -377,9 +378,8 @@ def settle_possible(
                     if flows and number:
                         key = table.instance, table.kind, flows
                         shared.setdefault(key, Shared(*key, 0, *span)).add(number, flows, span)
-    if not rivals:
-        others = [claim for claim in claims if claim.rank != Rank.MISSING]
-        _improve(_tables(counts, others), others, alone=True)
+            # What the likelier counter of one traffic may hold is not left to another's second choice.
+            _improve(_tables(counts, others, 0, place + 1), others, alone=True)
     return list(shared.values())
 
 

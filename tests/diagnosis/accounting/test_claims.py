@@ -161,6 +161,15 @@ def test_counts_of_others_make_room_for_what_only_one_may_have_lost(rank, lost):
     assert sum(sure.assigned.values()) == 2
 
 
+def test_counts_of_the_likelier_counter_go_before_the_second_choice_of_others():
+    """One takes its counts of the first second where another could have them; a third has none here."""
+    there = counts([0, 0], [2, 2])
+    named = [claim(at, 0, last, 2, KINDS[::-1], Rank.POSSIBLE, flow=7) for at, last in enumerate((1, 0))]
+    other = claim(2, 1, 1, 1, KINDS, Rank.POSSIBLE, flow=8)
+    assert settle_possible({0: there}, [*named, other]) == []
+    assert [sum(item.assigned.values()) for item in (*named, other)] == [2, 2, 0]
+
+
 def test_what_the_capture_may_have_missed_takes_what_is_left_at_the_end():
     there = counts([3], [0])
     missing = claim(0, 0, 0, 1, KINDS, Rank.MISSING)
