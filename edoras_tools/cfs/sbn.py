@@ -36,7 +36,7 @@ Incoming datagrams are read by a separate task that does not wait: 400 datagrams
 PIPE_DEPTH: Final = 32
 PEER_MSG_LIMIT: Final = 8
 """Most messages of one MsgId that may wait in a peer's pipe."""
-PEER_PIPE: Final = re.compile(r"SBN_[0-9]+_[0-9]+_Pipe")
+PEER_PIPE: Final = re.compile(r"SBN_[0-9]+_[0-9]+_Pipe|pipe of an SBN peer")
 
 VERSION_MATCH: Final = EventText(NAME, 1, "SBN protocol version match with peer {peer}")
 VERSION_MISMATCH: Final = EventText(

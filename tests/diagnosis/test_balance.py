@@ -10,7 +10,9 @@ from captures import ROBOT_GOT
 from places import ROOT
 from truth import diagnosed, examined
 
+from edoras_tools.diagnosis.balance import sent
 from edoras_tools.diagnosis.examination import Examination
+from edoras_tools.diagnosis.ledger import Row
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links import ROBOT_PORT
@@ -194,3 +196,8 @@ def test_copies_among_what_was_lost_are_no_messages(name, lost, copies):
     for way in found["ways"]:
         sums.update({figure: way[figure] for figure in ("lost", "superseded", "unaccounted")})
     assert all(sums[figure] == found[figure] for figure in sums)
+
+
+def test_what_goes_to_a_peer_that_nobody_knows_was_sent_too():
+    pipes = "SBN_3_66_Pipe", "pipe of an SBN peer"
+    assert sent(Row(link="sbn", msg_id=0x82A, hop=hop, came=12) for hop in pipes) == 24
