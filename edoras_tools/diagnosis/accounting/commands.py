@@ -414,7 +414,9 @@ class Commands:
             inside: indices of the messages that may be refused.
             most: upper bound.
         """
-        if number := fate.claim(inside[:most]):
+        # The others of that time are lost elsewhere, any of them.
+        spread = inside[np.arange(most) * len(inside) // most] if 0 < most < len(inside) else inside[:most]
+        if number := fate.claim(spread):
             fate.refused[item.rule] += number
             self.placed[item] += number
             self.refused_of.setdefault(fate.stream, []).append((item, number, Among(fate.stream, inside)))
