@@ -43,7 +43,7 @@ from edoras_tools.diagnosis.evidence.relays import UNTOUCHED, Proxied, RouteWay
 from edoras_tools.diagnosis.evidence.table import Recorder, Rows, followed
 from edoras_tools.diagnosis.evidence.timeline.changes import SoftwareChanges, capture_changes, network_changes
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER, Timeline
-from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_unreached
+from edoras_tools.diagnosis.evidence.unreachable import Unreachable, count_lost
 from edoras_tools.diagnosis.ledger import MessageLedger
 from edoras_tools.diagnosis.matching.crossing import Hop, find_hops
 from edoras_tools.diagnosis.matching.stalls import stalls
@@ -350,7 +350,7 @@ class Case:
         unreached = []
         for item, own in both:
             came = voices.get(number[item.source] << 32 | number[item.destination], times[:0])
-            unreached.append((item, *count_unreached(item, came, list(own.values()))))
+            unreached.append((item, *count_lost(item, came, list(own.values()))))
         return unreached
 
     @property
@@ -362,7 +362,10 @@ class Case:
     @cached_property
     def unreachable(self) -> Unreachable:
         """The datagrams that reached nobody, as ICMP errors show."""
-        return Unreachable(self.rows, self._errors, self.endpoints, self.prepared.translated)
+        found = Unreachable(self.rows, self._errors, self.endpoints, self.prepared.translated)
+        if all(item.clock != "capture" for item in self.jumps):  # else robots' times are as captured
+            found.add_silent(self.rows, self._errors, self.endpoints)
+        return found
 
     @cached_property
     def network(self) -> Network:

@@ -163,6 +163,7 @@ FLIGHTS = {
     "poses_behind_a_goodbye": (12, {"unsubscribed": 12}),
     "hardly_ran": (153, {"limit": 153}),
     "bits_changed_on_the_way_flight": (5, {"bad_command": 3, "no_subscriber": 2}),
+    "refused_beside_a_limit": (65, {"bad_command": 46, "limit": 19}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -306,6 +307,7 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
         ("begins_in_a_flood", 163),
         ("enabled_late_on_a_losing_network", 41),
         ("counters_reset_on_a_losing_network", 127),
+        ("robot_off_without_errors", 48),
     ],
 )
 def test_what_witnesses_leave_to_several_places_is_a_range(name, lost):

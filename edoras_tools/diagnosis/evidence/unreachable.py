@@ -14,6 +14,8 @@ Rules:
 4. A program may have ended before it read the datagrams just before the first error. If the port sends
    regularly, these are uncertain, from its last own datagram on.
 5. An error from another host, or of another kind, concerns only the datagram that it quotes.
+6. A robot that sends regularly, falls silent, and whose host sends no error, may be off: what goes to it
+   until it sends again is uncertain. The capture may leave errors out, and a host that is off sends none.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from edoras_tools.diagnosis.evidence.fingerprint import brackets
 from edoras_tools.diagnosis.evidence.table import Rows, number_hosts
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays import Integers, Mask, numbered
+from edoras_tools.wire.arrays import Integers, Mask, by_value, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -51,6 +53,10 @@ _DATAGRAM, _ERROR, _VOICE = range(3)
 _VOICES: Final = 3
 _REGULAR: Final = 2
 """A port sends regularly if it sent ``_VOICES`` datagrams, and paused for at most this many usual steps."""
+_SILENT: Final = 2.2
+"""A robot is silent if it sends nothing for so many usual steps: more than one that the capture missed."""
+_SELDOM: Final = 0.2
+"""A robot whose steps are so long more often sends irregularly."""
 
 
 class ClosedSpan(NamedTuple):
@@ -61,7 +67,7 @@ class ClosedSpan(NamedTuple):
         start_ns: time of the datagram that the first error quotes.
         last_ns: time of the datagram that the last error quotes.
         end_ns: time of the next sign of life; ``NEVER`` without one.
-        errors: number of errors.
+        errors: number of errors; 0 of a robot that only fell silent.
         step_ns: mean time between two datagrams from the port before it fell silent; 0 if it did not.
     """
 
@@ -143,8 +149,32 @@ class Unreachable:
                 late = late[times[late] >= start_ns - _UNREAD_NS]
                 self.uncertain[row[late[events.unanswered[late]]]] = True
 
+    def add_silent(self, rows: Rows, recorder: ErrorRecorder, endpoints: Sequence[Endpoint]) -> None:
+        """Add the times in which robots fell silent, and mark what was sent to them as uncertain (rule 6)."""
+        times, source = recorder.voices()[:2]
+        host, robot = number_hosts(endpoints), rows.on(lambda link: link.last_hop)
+        robot &= ~np.isin(host[rows.destination], host[rows.destination[self.closed]])
+        for port, own in by_value(np.where(robot, rows.destination, -1)):
+            heard, sent = np.sort(times[source == port]), rows.time_ns[own]
+            if port < 0 or len(heard) <= _VOICES:
+                continue
+            usual, ends_ns = int(np.median(np.diff(heard))), np.append(heard[1:], rows.time_ns[-1])
+            least_ns = max(_SILENT * usual, _PATIENCE_NS)
+            long = np.flatnonzero(ends_ns - heard > least_ns)
+            for at in long.tolist() if len(long) < _SELDOM * len(heard) else ():
+                start_ns, end_ns = int(heard[at]), int(ends_ns[at])
+                inside = own[(sent > start_ns) & (sent <= end_ns)]
+                # A time in which nothing was captured shows no silence.
+                every = np.diff(rows.time_ns[slice(*np.searchsorted(rows.time_ns, (start_ns, end_ns + 1)))])
+                if len(inside) and every.sum() - every.max(initial=0) > least_ns:
+                    self.uncertain[inside] = True
+                    end_ns = end_ns if at + 1 < len(heard) else NEVER
+                    first, last = rows.time_ns[inside[[0, -1]]].tolist()
+                    self.spans.append(ClosedSpan(endpoints[port], first, last, end_ns, 0, usual))
 
-def count_unreached(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tuple[int, int]:
+
+
+def count_lost(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tuple[int, int]:
     """Return how many datagrams of a flow reached nobody, and how many more perhaps did not (rule 3).
 
     The second number is 0 unless the errors cover most of the flow's time, or quote most of its datagrams.

@@ -180,7 +180,7 @@ def _causes(case: Case, members: Sequence[Silence]) -> list[str]:
     closed = [
         f"nobody listened on {span.port} at {case.at(span.start_ns)}"
         for span in case.unreachable.spans
-        if first - _NEAR_NS < span.start_ns < last + _NEAR_NS
+        if span.errors and first - _NEAR_NS < span.start_ns < last + _NEAR_NS
     ]
     closed += [
         f"{case.name(item.msg_id or 0)} overran its struct at {case.at(item.start_ns)}, and what is behind"

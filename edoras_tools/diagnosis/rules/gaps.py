@@ -535,15 +535,18 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         never = span.end_ns == NEVER
         again = "not open again in this capture" if never else f"open again at {case.at(span.end_ns)}"
         when = f"at {start}" if start == last else f"from {start} to {last}"
+        told = f"{errors} (port unreachable), the first at {start}, the last at {last}"
         reason = f"nobody listened on {span.port} {when}"
         reason += f": {plural(number, 'message')} reached nobody" if number else ""
+        if not span.errors:
+            told = "no ICMP error: the capture leaves them out, or the host is off"
+            reason = f"perhaps {reason}: {plural(uncertain, 'message')} may have reached nobody"
         if span.step_ns:
             reason += f"; its own datagrams, {SECOND / span.step_ns:.1f} a second, stopped too"
         yield verdict(
             Severity.ERROR if number else Severity.WARNING,
             reason,
-            f"{errors} (port unreachable), the first at {start}, the last at {last}",
-            *(again, unread),
+            *(told, again, unread),
             link=next((s.link.label for s in case.streams if case.endpoints[s.receiver] == span.port), None),
             hop=f"{UDP_PORT} {span.port}",
             lost=number or None,

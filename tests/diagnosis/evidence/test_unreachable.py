@@ -17,6 +17,7 @@ from truth import FOLDER, diagnosed, sums
 from edoras_tools.diagnosis.evidence.port_errors import PortErrors
 from edoras_tools.diagnosis.evidence.table import Rows
 from edoras_tools.diagnosis.evidence.unreachable import Unreachable
+from edoras_tools.links.bare import ROBOT as ROBOT_LINK
 from edoras_tools.model import Endpoint
 
 SECOND, MS = 10**9, 10**6
@@ -273,3 +274,28 @@ def test_commands_to_a_cfs_that_is_gone_are_lost_before_ci(tmp_path):
     assert figures(result) == {("CI", "0x1827"): gone}
     (told,) = [item for item in result["verdicts"] if item["rule"] == "port_closed"]
     assert told["lost"] == gone
+
+
+def silent_in(sent, voices_ms, errors=()):
+    rows, recorder = rows_of(sent), Errors(errors, [at * MS for at in voices_ms])
+    rows.link[:] = ROBOT_LINK.code
+    found = Unreachable(rows, recorder, LOOP, {})
+    found.add_silent(rows, recorder, LOOP)
+    return found
+
+
+def test_what_goes_to_a_robot_that_falls_silent_may_reach_nobody():
+    """It sends each second, and nothing for 4 s; one that the capture missed is no silence."""
+    found = silent_in(
+        every(200, 100), [at for at in range(0, 20_000, 1000) if at not in {3000, *range(8000, 12_000)}]
+    )
+    (span,) = found.spans
+    assert np.flatnonzero(found.uncertain).tolist() == list(range(36, 61))
+    assert (span.errors, span.step_ns, span.end_ns) == (0, SECOND, 12 * SECOND)
+
+
+def test_no_silence_of_a_robot_is_told_where_its_host_sends_errors_or_nothing_is_captured():
+    voices = [at for at in range(0, 20_000, 1000) if not 8000 <= at < 12_000]
+    sent = every(200, 100)
+    assert not silent_in([item for item in sent if not 7100 < item[0] // MS < 11_900], voices).spans
+    assert all(span.errors for span in silent_in(sent, voices, [about(sent[2])]).spans)
