@@ -164,6 +164,7 @@ FLIGHTS = {
     "hardly_ran": (153, {"limit": 153}),
     "bits_changed_on_the_way_flight": (5, {"bad_command": 3, "no_subscriber": 2}),
     "refused_beside_a_limit": (65, {"bad_command": 46, "limit": 19}),
+    "events_lost_in_a_full_pipe": (426, {"limit": 103, "overflow": 323}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -690,6 +691,12 @@ MOST = {
     "peer_takes_poses_too": {0x1827: {"restart": 16}, 0x1828: {"restart": 11}, 0x1829: {"limit": 3}},
     "poses_doubled": {0x828: {"limit": 467}, 0x1829: {"limit": 35}},
     "every_pose_twice": {0x828: {"limit": 309}, 0x1829: {"limit": 43}},
+    # Six at the full pipe were of 0x82d, whose limit took more at that time.
+    "events_lost_in_a_full_pipe": {
+        0x82D: {"limit": 80},
+        0x82E: {"overflow": 301},
+        0x1827: {"limit": 29, "overflow": 6},
+    },
 }
 
 

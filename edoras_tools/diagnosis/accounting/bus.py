@@ -422,7 +422,9 @@ class Telemetry:
         text = f"{came} that came in did not go out" if via else f"sequence count: {came} never came"
         part.evidence += [text] if part.missing else []
         window = span.start_ns - LEAD_NS, span.end_ns + TAIL_NS
-        kinds: list[tuple[bool, PipeKind]] = []
+        kinds: list[tuple[int, PipeKind]] = []
+        queue = (queues.peer_pipe if stream.link.peers else queues.telemetry_pipe)(case.profile)
+        larger = case.rounds(stream, span).most > (case.commanded_limit(stream) or queue.limit(stream.msg_id))
         grown = {kind: self._grown(part, name) > 0 for kind, name in COUNTERS.items()}
         for kind in COUNTERS:
             events = self._naming(stream, kind)
@@ -431,12 +433,12 @@ class Telemetry:
                 part.evidence.append(events.text(events.within(*window)))
             # A full pipe proves nothing if its counter did not grow.
             if is_named or (grown[kind] and pressed(case, stream, span, kind, gaps, full=grown["overflow"])):
-                kinds.append((not is_named, kind))
-        if not (kinds or via) and (grown["limit"] or part.owner not in self._counts):
-            queue = (queues.peer_pipe if stream.link.peers else queues.telemetry_pipe)(case.profile)
-            if least := full_rounds(stream.time_ns[span.rows], gaps[span.rows], queue.round_ns):
-                part.evidence.append(f"they are missing behind full rounds alone, of {least} or more")
-                kinds += [(True, kind) for kind in COUNTERS if kind == "limit" or grown[kind]]
+                # Rounds larger than the limit make a full pipe likelier.
+                kinds.append((2 * (not is_named) + (larger and kind == "limit"), kind))
+        may = not (kinds or via) and (grown["limit"] or part.owner not in self._counts)
+        if may and (least := full_rounds(stream.time_ns[span.rows], gaps[span.rows], queue.round_ns)):
+            part.evidence.append(f"they are missing behind full rounds alone, of {least} or more")
+            kinds += [(1, kind) for kind in COUNTERS if kind == "limit" or grown[kind]]
         return tuple(kind for _, kind in sorted(kinds, key=lambda item: item[0]))
 
     def _naming(self, stream: Stream, kind: PipeKind) -> LossEvents | None:

@@ -59,6 +59,7 @@ from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.links.table import carrying
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, by_value, distinct
+from edoras_tools.wire.cfe import EVENT_MSG_ID
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -592,6 +593,11 @@ class Leftover:
                     most = min(each.most(range(place, place + 1), *times), int(fate.open[span.rows].sum()))
                     if most:
                         out.append(Rival(each.stream, at, "limit", *times, most))
+        for stream in (item for item in self._case.streams if item.known_id == EVENT_MSG_ID):
+            at, last_ns = self._case.owner(stream), int(stream.time_ns[-1])
+            if at in self._counts and self._counts[at].left["overflow"].any() and not events[at, "overflow"]:
+                # The events that say so may not fit into the full pipe themselves.
+                out.append(Rival(stream, at, "overflow", last_ns, NEVER, STOPS_AFTER))
         return [*out, *self._behind_full()]
 
     def _behind_full(self) -> Iterator[Rival]:

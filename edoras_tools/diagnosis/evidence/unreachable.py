@@ -158,17 +158,16 @@ class Unreachable:
             heard, sent = np.sort(times[source == port]), rows.time_ns[own]
             if port < 0 or len(heard) <= _VOICES:
                 continue
-            usual, ends_ns = int(np.median(np.diff(heard))), np.append(heard[1:], rows.time_ns[-1])
+            usual, ends_ns = int(np.median(np.diff(heard))), np.append(heard[1:], NEVER)
             least_ns = max(_SILENT * usual, _PATIENCE_NS)
-            long = np.flatnonzero(ends_ns - heard > least_ns)
+            long = np.flatnonzero(np.minimum(ends_ns, rows.time_ns[-1]) - heard > least_ns)
             for at in long.tolist() if len(long) < _SELDOM * len(heard) else ():
                 start_ns, end_ns = int(heard[at]), int(ends_ns[at])
                 inside = own[(sent > start_ns) & (sent <= end_ns)]
                 # A time in which nothing was captured shows no silence.
-                every = np.diff(rows.time_ns[slice(*np.searchsorted(rows.time_ns, (start_ns, end_ns + 1)))])
+                every = np.diff(rows.time_ns[slice(*np.searchsorted(rows.time_ns, (start_ns, end_ns)))])
                 if len(inside) and every.sum() - every.max(initial=0) > least_ns:
                     self.uncertain[inside] = True
-                    end_ns = end_ns if at + 1 < len(heard) else NEVER
                     first, last = rows.time_ns[inside[[0, -1]]].tolist()
                     self.spans.append(ClosedSpan(endpoints[port], first, last, end_ns, 0, usual))
 

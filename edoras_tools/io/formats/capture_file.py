@@ -143,9 +143,7 @@ class CompressedStream:
         """See ``ByteStream.fill``."""
         filled = 0
         while filled < len(view):
-            if filled and not self.ready():
-                break
-            if not self._output and not self._inflate(len(view) - filled):
+            if (filled and not self.ready()) or not (self._output or self._inflate(len(view) - filled)):
                 break
             count = min(len(view) - filled, len(self._output))
             view[filled : filled + count] = self._output[:count]

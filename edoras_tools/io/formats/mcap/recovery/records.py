@@ -488,9 +488,7 @@ class Numbering:
         last = self._last.get((id(channel), id(schema)))
         if last is not None:
             return last[0]
-        below = 0
-        if schema is not None:
-            below = self.schema(schema, write=write, inside=inside)
+        below = 0 if schema is None else self.schema(schema, write=write, inside=inside)
         meta = tuple(sorted(channel.metadata.items()))
         number = self._put(
             (channel.id, channel.topic, channel.message_encoding, meta, below),
