@@ -2078,3 +2078,11 @@ def test_a_peer_that_moves_to_another_address_is_told_to_go_back(tmp_path):
     (verdict,) = [item for item in found.verdicts if item.rule == "sbn_timeout"]
     assert "It went on at 127.0.0.44:2236: cFS hears it there" in verdict.reason
     assert "start it at the address in cFS's SBN table" in first_screen(found)
+def test_a_full_pipe_loses_what_is_rare_too_and_no_longest_frame_is_blamed():
+    """Between two of its rounds only short housekeeping comes, and events do not come at all."""
+    found = examined("full_pipe_on_a_losing_network")
+    lost = {row.msg_id: row.lost for row in found.balance if row.hop == "TO_LAB_TLM_PIPE" and row.all_lost}
+    assert lost[0x808] == {"overflow": 16}
+    assert lost[0x82E]["overflow"] <= 275
+    assert "MTU" not in first_screen(found)
+    assert found.lost + found.unaccounted <= 400 <= found.lost + found.unaccounted + found.uncertain

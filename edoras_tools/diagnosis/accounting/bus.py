@@ -581,8 +581,8 @@ class Telemetry:
         return bool(bare and (rows.has(Finding.CAPTURE_CUT) & timed).any())
 
     def _grown(self, part: Part, name: str) -> int:
-        track = self._case.tracks.get(part.owner)
-        return track.growth(name, part.span.start_ns - LEAD_NS, part.span.end_ns + TAIL_NS) if track else 0
+        track, end_ns = self._case.tracks.get(part.owner), max(part.span.end_ns, part.among.times_ns[1])
+        return track.growth(name, part.span.start_ns - LEAD_NS, end_ns + TAIL_NS) if track else 0
 
     def _lose(self, part: Part, kind: LossKind, number: int, of: int, confidence: Confidence) -> Loss:
         """Add a loss of messages of a part, and return it."""

@@ -360,9 +360,10 @@ def _longest(case: Case, loss: Loss) -> int:
     rows, stream, among = case.rows, loss.stream, loss.among
     if stream is None or among is None or among.missing is None:
         return 0
-    long = among.missing >= _IN_A_ROW
-    at, times = among.rows[long], np.append(stream.time_ns, NEVER)
-    spans = list(zip(times[at].tolist(), times[at + 1].tolist(), strict=True))
+    starts, ends = (np.append(stream.time_ns, NEVER)[among.rows + later] for later in (0, 1))
+    # Where a full pipe lets some through in each round, little comes between two rounds.
+    long = (among.missing >= _IN_A_ROW) & (ends - starts > _IN_A_ROW * case.profile.to_wake_ns)
+    spans = list(zip(starts[long].tolist(), ends[long].tolist(), strict=True))
     inside = (rows.source == stream.sender) & overlapping(rows.time_ns, rows.time_ns, spans)
     longest = int(rows.length[inside].max(initial=0))
     fewer = inside.sum() < _IN_A_ROW or 2 * among.missing[long].sum() <= loss.lost
