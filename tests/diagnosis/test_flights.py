@@ -2086,3 +2086,9 @@ def test_a_full_pipe_loses_what_is_rare_too_and_no_longest_frame_is_blamed():
     assert lost[0x82E]["overflow"] <= 275
     assert "MTU" not in first_screen(found)
     assert found.lost + found.unaccounted <= 400 <= found.lost + found.unaccounted + found.uncertain
+
+
+def test_what_comes_once_a_second_is_over_no_limit_though_its_times_are_wrong():
+    found = examined("reordered_and_restarted")
+    assert {row.msg_id for row in found.balance if "limit" in row.lost} <= {0x82D, 0x1827}
+    assert found.lost + found.unaccounted <= 197 <= found.lost + found.unaccounted + found.uncertain

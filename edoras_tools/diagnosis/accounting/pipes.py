@@ -311,12 +311,12 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
         missing: i64 (rows of the stream,), number of messages missing after each row.
         full: the whole pipe overflowed, so that bursts do not show the limit of one MsgId.
     """
-    if case.unsteady_ns:
-        return True  # with wrong times no round can be recognised
-    profile, output = case.profile, stream.link.only_from_cfs
+    profile, output, own = case.profile, stream.link.only_from_cfs, stream.time_ns
     queue = queues.telemetry_pipe(profile) if output else queues.peer_pipe(profile)
     period, limit = queue.round_ns, queue.limit(stream.msg_id)
-    own = stream.time_ns
+    if case.unsteady_ns:  # with wrong times no round can be recognised, but what is rare fills none
+        most = min(limit, case.commanded_limit(stream) or limit)
+        return kind == "overflow" or more_at_once(own[span.rows], period + case.unsteady_ns, most - 1)
     at = np.arange(span.first, min(span.last + 1, len(own) - 1))
     at = at[missing[at] > 0]
     ends_ns = own[min(span.last + 1, len(own) - 1)]
