@@ -15,7 +15,8 @@ run's own start. The rules:
 5. A route is worse if most earlier runs have it and most later runs do not, if it is a configured topic or
    had at least ``FEWEST`` messages, and is no event. A finding or verdict is worse if no earlier run and
    most later runs have it, if it is an error or a warning. Verdicts are the same if rule and MsgId are, at
-   any place.
+   any place. A route is worse, too, if it lasts for nearly all of each earlier run and only for a part of
+   each later one.
 6. A field is worse if most later runs leave the range of the earlier ones by more than ``limits`` allows; a
    field from cFS also if it stopped changing. Different sizes are reported.
 
@@ -271,6 +272,9 @@ LOSS_SHARE: Final = 0.01
 LATENCY_MS: Final = 10.0
 _EVENTS: Final = frozenset({cfe.EVENT_MSG_ID, cfe.SHORT_EVENT_MSG_ID})
 _SERIOUS: Final = frozenset({"error", "warning"})
+_WHOLE: Final = 0.9
+_PART: Final = 0.6
+"""Shares of a run for which a route lasts, by its count and rate: nearly all of it, and only a part."""
 _GONE: Final = {"lost": "lost", "superseded": "superseded", "unaccounted": "not accounted for"}
 """Figures of the balance for messages that did not arrive, with their words for people."""
 
@@ -375,7 +379,7 @@ def compare_runs(
         good: earlier runs, at least one.
         bad: later runs.
     """
-    sides = [[_routes(run) for run in side] for side in (good, bad)]
+    sides = [[_lasting(run, _routes(run)) for run in side] for side in (good, bad)]
     points: list[Point] = []
     for key in sorted({key for side in sides for rows in side for key in rows}):
         ours, theirs = ([rows[key] for rows in side if key in rows] for side in sides)
@@ -427,6 +431,7 @@ def _figures(
     if not _is_event(key) and min(item["count"] for item in (*ours, *theirs)) >= FEWEST:
         was, now = ([item["rate_hz"] for item in side] for side in (ours, theirs))
         yield _moved("rate_hz", (name, key), was, now, bounds.tolerance * fmean(was))
+        yield from _partly((name, key), ours, theirs)
     yield from _gone((name, key), ours, theirs)
     was, now = (
         [item["latency_ms"] for item in side if item["latency_ms"] is not None] for side in (ours, theirs)
@@ -440,6 +445,15 @@ def _figures(
         before, after = (f"{low:,} to {high:,}" if low != high else f"{low:,}" for low, high in sizes)
         text = f"{name}: {after} bytes instead of {before}"
         yield Point("bytes", name, *key[:2], [*sizes[0]], [*sizes[1]], False, text)
+
+
+def _partly(place: Place, ours: Sequence[Route], theirs: Sequence[Route]) -> Iterator[Point]:
+    """Compare for how long a route lasts: nearly all of earlier runs, and a part of later ones."""
+    least, most = min(item["lasts"] for item in ours), max(item["lasts"] for item in theirs)
+    was, now = (fmean(item["count"] for item in side) for side in (ours, theirs))
+    if least > _WHOLE and most < _PART:
+        text = f"{place[0]} comes for {most:.0%} of the time instead of {least:.0%}"
+        yield Point("route", place[0], *place[1][:2], was, now, True, text)
 
 
 def _moved(quantity: str, place: Place, was: Sequence[float], now: Sequence[float], least: float) -> Point:
@@ -641,6 +655,14 @@ def _routes(run: RunSummary) -> dict[Key, dict[str, Any]]:
         if entry := rows.get(_key(row), {}):
             for quantity in _GONE:
                 entry[quantity] += row[quantity]
+    return rows
+
+
+def _lasting(run: RunSummary, rows: dict[Key, dict[str, Any]]) -> dict[Key, dict[str, Any]]:
+    """Return routes with the share of the run for which each lasts, by its count and rate."""
+    seconds = ((run.doctor["end_ns"] or 0) - (run.doctor["start_ns"] or 0)) / SECOND
+    for row in rows.values():
+        row["lasts"] = row["count"] / (row["rate_hz"] * seconds) if row["rate_hz"] and seconds else 1.0
     return rows
 
 

@@ -66,6 +66,13 @@ def test_a_longer_run_of_the_same_rate_is_the_same():
     assert changes(run(), run(route={"count": 1000}, seconds=100.0)) == []
 
 
+def test_a_route_that_lasts_for_a_part_of_the_run_only_is_worse():
+    """Its rate is that of the time in which it came."""
+    assert changes(run(), run(route={"count": 1000}, seconds=400.0)) == [("route", True)]
+    assert changes(run(seconds=40.0), run(seconds=40.0)) == []
+    assert changes(run(), run(seconds=15.0)) == []
+
+
 CASES = [
     ({"account": {"rate_hz": 8.0}}, [("rate_hz", True)]),
     ({"account": {"rate_hz": 12.0}}, [("rate_hz", False)]),
