@@ -452,6 +452,8 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
     """
     lacking = [item.name for item in (CI, TO, SBN) if not (case.rows.link == item).any()]
     also = f"capture {' and '.join(lacking)} too where cFS uses it, and " if lacking else ""
+    names_them = f"let events name them from the start on: {case.inject(ENABLE_OUTPUT)}; "
+    names_them += case.inject("evs-reset-filters", NAME)
     reported = [item for item in case.reported_losses if item.at_pipe]
     for loss in case.losses:
         if loss.rivals or (loss.kind == "unknown" and loss.stream is None):
@@ -461,7 +463,8 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
             alone = f": events name {listed(names)} alone" * bool(names)
             question = f"whether of {which}" if which else f"which{alone}"
             ids = {msg_id for _, msg_id, _ in loss.rivals}
-            helped = any(item.hop == loss.hop and item.msg_id in ids for item in case.losses)
+            told = [item for item in case.losses if item.msg_id in ids]
+            helped = loss.hop in [item.hop for item in told] or ids == {item.msg_id for item in told} != set()
             yield error(
                 f"{plural(loss.lost, 'message')} lost {where} of {case.label(loss.instance)}; the capture "
                 f"cannot show {question}",
@@ -469,10 +472,7 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
                 hop=loss.hop,
                 lost=loss.lost,
                 span=(loss.start_ns, loss.end_ns),
-                remedy="none beside what helps each of these"
-                if helped
-                else f"{also}let events name them from the start on: {case.inject(ENABLE_OUTPUT)}; "
-                f"{case.inject('evs-reset-filters', NAME)}",
+                remedy="none beside what helps each of these" if helped else also + names_them,
                 confidence="low",
             )
 
