@@ -168,8 +168,7 @@ class Conversations(msgspec.Struct, eq=False):
         if all(flow is None or flow.is_sound or not flow.link.packets for flow in flows):
             return rows[:0]  # takes the time of one batch; judging takes the time of all flows
         self.judge()
-        out = [flow is not None and flow.kind in LEFT_OUT for flow in flows]
-        return rows[np.array(out, bool)[which]]
+        return rows[np.array([flow is not None and flow.kind in LEFT_OUT for flow in flows], bool)[which]]
 
     def judge(self) -> list[Flow]:
         """Return all flows, each with its kind."""

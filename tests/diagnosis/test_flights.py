@@ -2092,3 +2092,10 @@ def test_what_comes_once_a_second_is_over_no_limit_though_its_times_are_wrong():
     found = examined("reordered_and_restarted")
     assert {row.msg_id for row in found.balance if "limit" in row.lost} <= {0x82D, 0x1827}
     assert found.lost + found.unaccounted <= 197 <= found.lost + found.unaccounted + found.uncertain
+
+
+def test_what_is_counted_of_an_overload_that_no_event_names_is_of_the_one_stream_that_is_too_fast():
+    found = examined("overload_without_events")
+    lost = {(row.msg_id, row.hop): row.lost for row in found.balance if row.all_lost}
+    assert lost == {(0x1827, "CI"): {"network": 7}, (0x1827, "software bus"): {"limit": 14}}
+    assert found.lost + found.unaccounted <= 111 <= found.lost + found.unaccounted + found.uncertain

@@ -251,8 +251,7 @@ def _logs(
     kinds = payload["event_type"]
     heads["level"] = _LEVELS[np.where(kinds < len(_LEVELS), kinds, 0)]
     stamp(heads, times[1])
-    rest = _log_strings(payload, heads.itemsize)
-    return whole_messages(rows, heads, channel_id, sequence, *times, rest)
+    return whole_messages(rows, heads, channel_id, sequence, *times, _log_strings(payload, heads.itemsize))
 
 
 def _telemetry(
