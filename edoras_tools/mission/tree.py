@@ -378,8 +378,7 @@ class NodeParameters(msgspec.Struct, frozen=True):
 
     def children(self, group: str) -> list[str]:
         """Return the last part of each parameter's name directly below a group."""
-        names = (name.rpartition(".") for name in self.values)
-        return [last for above, _, last in names if above == group]
+        return [last for above, _, last in (name.rpartition(".") for name in self.values) if above == group]
 
     def line_of(self, name: str) -> int:
         """Return the line of a parameter, or of the nearest group around it."""

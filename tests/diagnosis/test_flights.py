@@ -2078,6 +2078,14 @@ def test_a_peer_that_moves_to_another_address_is_told_to_go_back(tmp_path):
     (verdict,) = [item for item in found.verdicts if item.rule == "sbn_timeout"]
     assert "It went on at 127.0.0.44:2236: cFS hears it there" in verdict.reason
     assert "start it at the address in cFS's SBN table" in first_screen(found)
+def test_a_limit_that_nearly_all_rounds_show_is_one_though_its_pipe_was_full_too():
+    """Its rounds are of 40 each, and larger than the usual limit; the events did not fit into the pipe."""
+    rows = examined("bursts_of_poses_at_once").balance
+    lost = {row.msg_id: row.lost for row in rows if row.hop == "TO_LAB_TLM_PIPE" and row.all_lost}
+    assert lost[0x808] == {"overflow": 16}
+    assert lost[0x828]["limit"] > 500
+
+
 def test_a_full_pipe_loses_what_is_rare_too_and_no_longest_frame_is_blamed():
     """Between two of its rounds only short housekeeping comes, and events do not come at all."""
     found = examined("full_pipe_on_a_losing_network")

@@ -424,7 +424,8 @@ class Telemetry:
         window = span.start_ns - LEAD_NS, span.end_ns + TAIL_NS
         kinds: list[tuple[int, PipeKind]] = []
         queue = (queues.peer_pipe if stream.link.peers else queues.telemetry_pipe)(case.profile)
-        larger = case.rounds(stream, span).most > (case.commanded_limit(stream) or queue.limit(stream.msg_id))
+        rounds, limit = case.rounds(stream, span), case.commanded_limit(stream) or queue.limit(stream.msg_id)
+        larger = rounds.most > limit and rounds.share < _MOSTLY
         grown = {kind: self._grown(part, name) > 0 for kind, name in COUNTERS.items()}
         for kind in COUNTERS:
             events = self._naming(stream, kind)
@@ -433,7 +434,7 @@ class Telemetry:
                 part.evidence.append(events.text(events.within(*window)))
             # A full pipe proves nothing if its counter did not grow.
             if is_named or (grown[kind] and pressed(case, stream, span, kind, gaps, full=grown["overflow"])):
-                # Rounds larger than the limit make a full pipe likelier.
+                # Rounds larger than the limit make a full pipe likelier, if most are not alike.
                 kinds.append((2 * (not is_named) + (larger and kind == "limit"), kind))
         may = not (kinds or via) and (grown["limit"] or part.owner not in self._counts)
         if may and (least := full_rounds(stream.time_ns[span.rows], gaps[span.rows], queue.round_ns)):
