@@ -362,10 +362,10 @@ class Case:
     @cached_property
     def unreachable(self) -> Unreachable:
         """The datagrams that reached nobody, as ICMP errors show."""
-        found = Unreachable(self.rows, self._errors, self.endpoints, self.prepared.translated)
+        unreached = Unreachable(self.rows, self._errors, self.endpoints, self.prepared.translated)
         if all(item.clock != "capture" for item in self.jumps):  # else robots' times are as captured
-            found.add_silent(self.rows, self._errors, self.endpoints)
-        return found
+            unreached.add_silent(self.rows, self._errors, self.endpoints)
+        return unreached
 
     @cached_property
     def network(self) -> Network:

@@ -463,8 +463,8 @@ def unattributed_loss(case: Case) -> Iterator[Verdict]:
             alone = f": events name {listed(names)} alone" * bool(names)
             question = f"whether of {which}" if which else f"which{alone}"
             ids = {msg_id for _, msg_id, _ in loss.rivals}
-            told = [item for item in case.losses if item.msg_id in ids]
-            helped = loss.hop in [item.hop for item in told] or ids == {item.msg_id for item in told} != set()
+            own = [item for item in case.losses if item.msg_id in ids]
+            helped = loss.hop in [item.hop for item in own] or ids == {item.msg_id for item in own} != set()
             yield error(
                 f"{plural(loss.lost, 'message')} lost {where} of {case.label(loss.instance)}; the capture "
                 f"cannot show {question}",
@@ -536,18 +536,18 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         never = span.end_ns == NEVER
         again = "not open again in this capture" if never else f"open again at {case.at(span.end_ns)}"
         when = f"at {start}" if start == last else f"from {start} to {last}"
-        told = f"{errors} (port unreachable), the first at {start}, the last at {last}"
+        witness = f"{errors} (port unreachable), the first at {start}, the last at {last}"
         reason = f"nobody listened on {span.port} {when}"
         reason += f": {plural(number, 'message')} reached nobody" if number else ""
         if not span.errors:
-            told = "no ICMP error: the capture leaves them out, or the host is off"
+            witness = "no ICMP error: the capture leaves them out, or the host is off"
             reason = f"perhaps {reason}: {plural(uncertain, 'message')} may have reached nobody"
         if span.step_ns:
             reason += f"; its own datagrams, {SECOND / span.step_ns:.1f} a second, stopped too"
         yield verdict(
             Severity.ERROR if number else Severity.WARNING,
             reason,
-            *(told, again, unread),
+            *(witness, again, unread),
             link=next((s.link.label for s in case.streams if case.endpoints[s.receiver] == span.port), None),
             hop=f"{UDP_PORT} {span.port}",
             lost=number or None,
