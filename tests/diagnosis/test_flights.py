@@ -2078,6 +2078,8 @@ def test_a_peer_that_moves_to_another_address_is_told_to_go_back(tmp_path):
     (verdict,) = [item for item in found.verdicts if item.rule == "sbn_timeout"]
     assert "It went on at 127.0.0.44:2236: cFS hears it there" in verdict.reason
     assert "start it at the address in cFS's SBN table" in first_screen(found)
+
+
 def test_a_limit_that_nearly_all_rounds_show_is_one_though_its_pipe_was_full_too():
     """Its rounds are of 40 each, and larger than the usual limit; the events did not fit into the pipe."""
     rows = examined("bursts_of_poses_at_once").balance

@@ -172,7 +172,6 @@ class Unreachable:
                     self.spans.append(ClosedSpan(endpoints[port], first, last, end_ns, 0, usual))
 
 
-
 def count_lost(flow: Flow, sent_ns: Integers, errors_ns: list[int]) -> tuple[int, int]:
     """Return how many datagrams of a flow reached nobody, and how many more perhaps did not (rule 3).
 
