@@ -183,11 +183,6 @@ def endpoints(rows: ColumnRows) -> tuple[list[tuple[Endpoint, Endpoint]], Places
     return [(item.source, item.destination) for item in map(rows.batch.__getitem__, places)], which
 
 
-_LAYERS: Final = {
-    cfe.EVENT_MSG_ID: cfe.EVENT,
-    cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
-}
-"""Packets whose layer has a text of its own, by MsgId of version 1."""
 _ENDED: Final = Finding.TRUNCATED | Finding.ENVELOPE_OVERRUN | Finding.CDR_INVALID | Finding.HEADER_ONLY
 """Findings of packets that may end before their message."""
 _OTHERWISE: Final = Finding.CAPTURE_CUT | Finding.SBN_LEGACY_HEADER
@@ -437,7 +432,7 @@ def _messages(rows: ColumnRows, easy: Mask) -> Iterator[tuple[Integers, str, str
     """
     routes = rows.routes()
     for owner, topic, kind, messages, plan, bound in message_rows(rows, easy.copy(), commands=False):
-        layer = _LAYERS.get(rows.context.msg_ids.standard(bound.key.msg_id)) if bound else None
+        layer = cfe.PAYLOADS.get(rows.context.msg_ids.standard(bound.key.msg_id)) if bound else None
         plain = messages.valid
         if bound:
             plain = plain & (routes[owner] == NO_ROUTE)

@@ -3,8 +3,8 @@
 Decoding is lenient: only an impossible length stops it, and all that was read before is kept. Offsets and
 findings are the same as those of :mod:`edoras_tools.decode.columns` for a batch.
 
-A message of a recording without datagrams is a row whose route is its topic (``PacketBatch.recorded``): it has
-no link and no MsgId, only a time, bytes and values. Its columns are here too.
+A message of a recording without datagrams is a row whose route is its topic (``PacketBatch.recorded``): it
+has no link and no MsgId, only a time, bytes and values. Its columns are here too.
 """
 
 from __future__ import annotations
@@ -205,12 +205,9 @@ class _Dissection(Reading):
         exact = int(self.context.routes_on(self.link)[msg_id])
         route = exact if exact != model.NO_ROUTE else int(self.context.any_route_of[msg_id])
         if route == model.NO_ROUTE:
-            for standard, layout in (
-                (cfe.EVENT_MSG_ID, cfe.EVENT),
-                (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING),
-            ):
-                if self.context.msg_ids.standard(msg_id) == standard and len(self.data) - at >= layout.size:
-                    self.read(self.context.in_order(layout), at)
+            layout = cfe.PAYLOADS.get(self.context.msg_ids.standard(msg_id))
+            if layout is not None and len(self.data) - at >= layout.size:
+                self.read(self.context.in_order(layout), at)
             self._packet_struct(msg_id, start, header, code)
             return
         if length == header:

@@ -547,11 +547,6 @@ LAYOUT_NAME: Final = shapes.SHIPPED
 """Name of this layout on the command line."""
 _FILE: Final = Path(__file__).with_name("cfe.json")
 """A layout file without its packets: their MsgIds depend on the version."""
-_WIRE_LAYOUTS: Final = {
-    cfe.EVENT_MSG_ID: cfe.EVENT,
-    cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
-}
-"""Packets that the tables of ``wire`` describe, by MsgId of version 1; so do those of ``DATAGRAMS``."""
 
 
 @cache
@@ -560,12 +555,12 @@ def shipped_layout(msg_ids: MsgIds = VERSION_1) -> shapes.StructLayout:
     bound = {
         msg_id: name
         for msg_id, name in shapes.packets(msg_ids).items()
-        if msg_ids.standard(msg_id) not in _WIRE_LAYOUTS
+        if msg_ids.standard(msg_id) not in cfe.PAYLOADS
     }
     layout = layout_of({**json.loads(_FILE.read_bytes()), "bind": bound}, LAYOUT_NAME)
     structs, enums = dict(layout.structs), dict(layout.enums)
     bindings = dict(layout.bindings)
-    for msg_id, header in _WIRE_LAYOUTS.items():
+    for msg_id, header in cfe.PAYLOADS.items():
         name = shapes.PACKETS[msg_id]
         structs[name] = _of_header(name, header, enums)
         bindings[shapes.Key(msg_ids.of_known(msg_id))] = name

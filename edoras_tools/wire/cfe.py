@@ -282,6 +282,8 @@ TELEMETRY_HEADER_BYTES: Final = ccsds.PRIMARY.size + TELEMETRY.size
 EVENT_MSG_ID: Final = 0x0808
 SHORT_EVENT_MSG_ID: Final = 0x0809
 SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: Final = 0x0803
+PAYLOADS: Final = {EVENT_MSG_ID: EVENT, SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: SOFTWARE_BUS_HOUSEKEEPING}
+"""Packets whose payload is a layer of its own, by MsgId of version 1."""
 
 
 def known_ids(msg_id: NDArray[np.int32], headers: Octets) -> NDArray[np.int32]:

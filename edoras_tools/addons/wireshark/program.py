@@ -206,7 +206,7 @@ def _step(step: PrimitiveRun | Text | Repeat) -> dict[str, Any]:
 
 _MOST: Final = 512
 """Most values of a struct that are shown."""
-_IN_THE_ENGINE: Final = (cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID)
+_IN_THE_ENGINE: Final = tuple(cfe.PAYLOADS)
 _WHOLE: Final = {BasicKind.UINT: "uint", BasicKind.BOOL: "uint", BasicKind.CHAR: "uint", BasicKind.INT: "int"}
 
 

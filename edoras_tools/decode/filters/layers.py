@@ -564,7 +564,7 @@ class MessageFieldFinder:
         return ""
 
 
-_LAYERS: Final = {PACKETS[item] for item in (cfe.EVENT_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID)}
+_LAYERS: Final = {PACKETS[item] for item in cfe.PAYLOADS}
 """Structs whose fields are the fields of a layer, too."""
 
 

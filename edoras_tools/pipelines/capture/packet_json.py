@@ -50,10 +50,7 @@ if TYPE_CHECKING:
 _IN_HEAD: Final = 6
 """Number of a packet's values in front of those that are decoded from its bytes."""
 _ABOUT: Final = ("topic", "type", "message")
-_INSIDE: Final = (
-    (cfe.EVENT_MSG_ID, cfe.EVENT),
-    (cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, cfe.SOFTWARE_BUS_HOUSEKEEPING),
-)
+_INSIDE: Final = tuple(cfe.PAYLOADS.items())
 """Packets that are shown with one more layer, and the layer."""
 
 

@@ -33,11 +33,7 @@ def from_link(packet: bytes, profile: SimProfile) -> bytes:
     return cfe.with_headers(packet, profile.headers, cfe.STANDARD)
 
 
-_NUMBERS: Final = {
-    cfe.EVENT_MSG_ID: cfe.EVENT,
-    cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID: cfe.SOFTWARE_BUS_HOUSEKEEPING,
-    command_ingest.HOUSEKEEPING_MSG_ID: cfe.COMMAND_INGEST_HOUSEKEEPING,
-}
+_NUMBERS: Final = cfe.PAYLOADS | {command_ingest.HOUSEKEEPING_MSG_ID: cfe.COMMAND_INGEST_HOUSEKEEPING}
 """Payloads with numbers longer than a byte that a link shows; in other payloads such counters are 0."""
 
 
