@@ -51,6 +51,8 @@ class SystemRoutes(msgspec.Struct, frozen=True):
         envelopes: MsgId to its envelope, if it is not the usual one.
         bridge: SBN identity of the flight bridge.
         store: types; None for those of the demos.
+        state_bytes: size of the structs of states, bytes; 0 for as many as a state needs.
+        command_bytes: size of the structs of commands to robots on SBN, likewise.
     """
 
     types: Mapping[int, str]
@@ -61,28 +63,31 @@ class SystemRoutes(msgspec.Struct, frozen=True):
     envelopes: Mapping[int, EnvelopeFormat] = msgspec.field(default_factory=dict)
     bridge: Peer = FLIGHT_BRIDGE
     store: TypeStore | None = None
+    state_bytes: int = 0
+    command_bytes: int = 0
 
     def envelope(self, msg_id: int) -> EnvelopeFormat:
         """Return the envelope of a MsgId."""
         return self.envelopes.get(msg_id, DEFAULT)
 
 
-def _demo(command_type: str, state_type: str, *, two: bool) -> SystemRoutes:
+def _demo(command_type: str, state_type: str, state_bytes: int, command_bytes: int = 0) -> SystemRoutes:
     commands, telemetry, states, flight = [0x1827], [0x0827], list[int](), list[int]()
-    if two:
+    if command_bytes:  # two robots, on SBN
         commands, telemetry = [0x1827, 0x1828], [0x0828, 0x0829]
         states, flight = [0x1829, 0x182A], [0x082A, 0x082B]
     types = dict.fromkeys([*commands, *flight], command_type) | dict.fromkeys(
         [*telemetry, *states], state_type
     )
-    return SystemRoutes(types, commands, telemetry, states, flight)
+    routes = SystemRoutes(types, commands, telemetry, states, flight)
+    return replace(routes, state_bytes=state_bytes, command_bytes=command_bytes)
 
 
 DEMO_ROUTES: Final[Mapping[Scenario, SystemRoutes]] = {
-    "rover": _demo(TWIST, POSE_STAMPED, two=False),
-    "arm": _demo(POSE, JOINT_STATE, two=False),
-    "two-rovers": _demo(TWIST, POSE_STAMPED, two=True),
-    "two-arms": _demo(POSE, JOINT_STATE, two=True),
+    "rover": _demo(TWIST, POSE_STAMPED, 100),
+    "arm": _demo(POSE, JOINT_STATE, 260),
+    "two-rovers": _demo(TWIST, POSE_STAMPED, 120, 80),
+    "two-arms": _demo(POSE, JOINT_STATE, 300, 80),
 }
 
 

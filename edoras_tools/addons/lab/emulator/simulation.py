@@ -163,7 +163,7 @@ class Simulation:
         self._scheduler = Scheduler(profile, start_ns=start_ns)
         self.cfs = Cfs(profile, self._scheduler, self._send, with_account=with_account)
         self.cfs.routes = routes
-        self.apps = Apps(self.cfs, _application(routes, self.scenario, start_ns))
+        self.apps = Apps(self.cfs, _application(routes, start_ns))
         self.ground: GroundBridge | None = None
         self.flight: FlightBridge | None = None
         if bridges:
@@ -249,23 +249,13 @@ class Simulation:
             self._scheduler.call_at(self.now + _LOOPBACK_NS, self.deliver, destination, payload)
 
 
-_STRUCT_BYTES: Final[Mapping[str, tuple[int, ...]]] = {
-    "rover": (100,),
-    "arm": (260,),
-    "two-rovers": (120, 80),
-    "two-arms": (300, 80),
-}
-"""Sizes of the structs of the demos' applications, bytes: those of states, and of commands to the robots."""
-
-
-def _application(routes: SystemRoutes, scenario: str, now: int) -> core.EdorasApp:
-    sizes = _STRUCT_BYTES.get(scenario, ())
+def _application(routes: SystemRoutes, now: int) -> core.EdorasApp:
     if routes.flight:
-        return core.TwoRobotApp(routes, *sizes)
+        return core.TwoRobotApp(routes)
     command, state = (
         routes.types[items[0]] if items else "" for items in (routes.commands, routes.telemetry)
     )
-    return core.SingleRobotApp(robot_of(command, state, routes.store, now=now), routes, *sizes)
+    return core.SingleRobotApp(robot_of(command, state, routes.store, now=now), routes)
 
 
 _LONGEST_WAIT_S: Final = 0.1

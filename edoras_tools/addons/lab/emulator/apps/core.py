@@ -117,11 +117,13 @@ class SingleRobotApp(EdorasApp):
         command: MsgId of the robot's commands.
     """
 
-    def __init__(self, robot: Robot, routes: SystemRoutes, struct_bytes: int = 0) -> None:
+    def __init__(self, robot: Robot, routes: SystemRoutes) -> None:
         super().__init__()
         self.robot, self.robot_commands, self.has_robot = robot, 0, False
         self.command, *_ = *routes.commands, 0
-        self._states = [(item, FixedStruct(struct_bytes, routes.envelope(item))) for item in routes.telemetry]
+        self._states = [
+            (item, FixedStruct(routes.state_bytes, routes.envelope(item))) for item in routes.telemetry
+        ]
         used = {*routes.commands, *routes.telemetry}
         self.request = next(item for item in range(_REQUEST, cfe.HIGHEST_MSG_ID) if item not in used)
         self.housekeeping = next(item for item in range(ROBOT_HOUSEKEEPING, 0, -1) if item not in used)
@@ -192,7 +194,7 @@ class TwoRobotApp(EdorasApp):
     state is sent at once.
     """
 
-    def __init__(self, routes: SystemRoutes, state_bytes: int = 0, command_bytes: int = 0) -> None:
+    def __init__(self, routes: SystemRoutes) -> None:
         super().__init__()
         self.commands, self.states = routes.commands, routes.states
         self.flight, self.telemetry = routes.flight, routes.telemetry
@@ -203,8 +205,8 @@ class TwoRobotApp(EdorasApp):
         self._types = routes.types
         self._channels = [
             _Channel(
-                FixedStruct(command_bytes, routes.envelope(command)),
-                FixedStruct(state_bytes, routes.envelope(state)),
+                FixedStruct(routes.command_bytes, routes.envelope(command)),
+                FixedStruct(routes.state_bytes, routes.envelope(state)),
             )
             for command, state in zip(self.flight, self.telemetry, strict=True)
         ]
