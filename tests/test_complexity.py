@@ -15,7 +15,8 @@ from effort import LONG
 from streams import SYN, Segment, sbn_messages, write_segments
 
 from edoras_tools.decode import lines
-from edoras_tools.io.formats.open import merge_sources, open_file
+from edoras_tools.io.formats.merge import merge_sources
+from edoras_tools.io.formats.open import open_file
 from edoras_tools.pipelines.capture.info import inspect
 from edoras_tools.pipelines.capture.packet_json import PacketTexts
 from edoras_tools.pipelines.reading import reading

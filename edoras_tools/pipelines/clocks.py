@@ -16,7 +16,8 @@ from edoras_tools.diagnosis.evidence.clocks.lines import ClockLine
 from edoras_tools.diagnosis.evidence.table import Recorder
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import Source, SourceOver
-from edoras_tools.io.formats.open import SEAM_NS, MergedSource, is_cfe_file, merge_sources, open_file
+from edoras_tools.io.formats.merge import SEAM_NS, MergedSource, merge_sources
+from edoras_tools.io.formats.open import is_cfe_file, open_file
 from edoras_tools.pipelines.reading import APART_NS
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe

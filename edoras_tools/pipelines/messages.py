@@ -16,7 +16,8 @@ from msgspec.structs import replace
 from edoras_tools.decode import ColumnDecoder, Context
 from edoras_tools.decode.stack import JSON_ENCODING
 from edoras_tools.errors import ConfigError, NoDatagramsError, OnFailure
-from edoras_tools.io.formats.open import merge_sources, open_file
+from edoras_tools.io.formats.merge import merge_sources
+from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.rosbag2.reader import MessageSource, NumberedTopics
 from edoras_tools.io.topics.streams import QOS_METADATA
 from edoras_tools.mission import Handling, Mission, RecordedTopic, Route

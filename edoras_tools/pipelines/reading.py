@@ -44,7 +44,7 @@ from edoras_tools import __version__
 from edoras_tools.decode.conversations import LEFT_OUT, Conversations, in_doubt
 from edoras_tools.decode.filters.rows import ColumnRows
 from edoras_tools.errors import CaptureError, ConfigError, InterruptError
-from edoras_tools.io.formats.open import SEAM_NS
+from edoras_tools.io.formats.merge import SEAM_NS
 from edoras_tools.io.outputs import ENDING
 from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.table import LinkStates, among

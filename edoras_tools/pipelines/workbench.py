@@ -212,7 +212,7 @@ def open_files(paths: Sequence[Path]) -> Source:
 
     if len(paths) == 1:
         return open_file(paths[0])
-    from edoras_tools.io.formats.open import merge_sources
+    from edoras_tools.io.formats.merge import merge_sources
 
     with ExitStack() as opened:
         sources = [opened.enter_context(closing(open_file(path))) for path in paths]

@@ -10,7 +10,8 @@ from places import CAPTURES
 
 from edoras_tools.errors import CaptureError
 from edoras_tools.io import SourceDefaults
-from edoras_tools.io.formats.open import merge_sources, open_file
+from edoras_tools.io.formats.merge import merge_sources
+from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.linklayer import demux
 from edoras_tools.model import SourceInfo, SourceStatistics

@@ -42,7 +42,7 @@ from edoras_tools.io.formats.mcap.messages import (
     joined_messages,
     scanned,
 )
-from edoras_tools.io.formats.open import MergedSource
+from edoras_tools.io.formats.merge import MergedSource
 from edoras_tools.io.topics.messages import MAGIC
 from edoras_tools.mission.model import RecordedTopic
 from edoras_tools.mission.tree import printable
