@@ -20,6 +20,8 @@ Rules that every framing keeps:
 
 from __future__ import annotations
 
+from collections.abc import Set as AbstractSet
+
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
@@ -31,8 +33,6 @@ from edoras_tools.model import Columns, Datagram, Finding, Layer, LayerField, Pa
 from edoras_tools.wire.arrays import PADDING, Integers, Mask, Octets, Places
 
 if TYPE_CHECKING:
-    from collections.abc import Set as AbstractSet
-
     from numpy.typing import NDArray
 
     from edoras_tools.wire.layout import Layout

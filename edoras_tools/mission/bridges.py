@@ -7,6 +7,8 @@ look up only their own by name.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import re
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -27,8 +29,6 @@ if TYPE_CHECKING:
     from edoras_tools.model import Link
 
     Claims = dict[tuple[Link, int], tuple[NodeParameters, model.Route]]
-
-    from collections.abc import Sequence
 
 
 HANDLING_GROUP: Final = "edoras"

@@ -40,8 +40,8 @@ from edoras_tools.words import plural
 if TYPE_CHECKING:
     from edoras_tools.addons.foxglove.player import RecordingPlayer
     from edoras_tools.addons.foxglove.publish import CommandPublisher, Send
+    from edoras_tools.addons.foxglove.server.page import OriginCheck
     from edoras_tools.addons.foxglove.server.protocol import PlaybackState
-    from edoras_tools.addons.foxglove.server.server import OriginCheck
     from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, ServedSink
     from edoras_tools.io import Source
     from edoras_tools.io.formats.capture_file import SettledFile
@@ -302,7 +302,7 @@ def server(
 
 
 def _origin_check(origins: Sequence[str] | None) -> OriginCheck:
-    from edoras_tools.addons.foxglove.server.server import OriginCheck
+    from edoras_tools.addons.foxglove.server.page import OriginCheck
 
     return OriginCheck(tuple(origins or ()), tell)
 

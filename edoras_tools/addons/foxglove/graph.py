@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from edoras_tools.addons.foxglove.server.page import OriginCheck
 from edoras_tools.addons.foxglove.server.protocol import Publisher
-from edoras_tools.addons.foxglove.server.server import FoxgloveServer, OriginCheck, ServerOptions
+from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.net.sockets import reach_note
 from edoras_tools.io.topics.messages import Records

@@ -21,8 +21,9 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from edoras_tools.addons.foxglove.server.page import OriginCheck
 from edoras_tools.addons.foxglove.server.protocol import PlaybackRequest, PlaybackState, Player, Publisher
-from edoras_tools.addons.foxglove.server.server import HERE, OriginCheck, ServerOptions
+from edoras_tools.addons.foxglove.server.server import HERE, ServerOptions
 from edoras_tools.addons.foxglove.server.sink import FoxgloveSink, LinkMonitor, RecordedSink, ServedSink
 from edoras_tools.errors import CaptureError, EdorasError
 from edoras_tools.io.formats.capture_file import SettledFile

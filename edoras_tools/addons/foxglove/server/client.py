@@ -31,7 +31,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 
-from edoras_tools.addons.foxglove.server import protocol, server
+from edoras_tools.addons.foxglove.server import page, protocol
 from edoras_tools.errors import WireError
 from edoras_tools.units import SECOND
 
@@ -141,7 +141,7 @@ class FoxgloveClient:
     def receive(self, data: bytes) -> list[protocol.ClientEvent]:
         """Handle received bytes, ``b""`` at the end of the connection; return the events for the server."""
         # Much faster than a WebSocket handshake; each browser sends such a request once a second.
-        request = server.plain_request(data) if self._plain and not self._queue else None
+        request = page.plain_request(data) if self._plain and not self._queue else None
         self._plain = request is not None
         if request is not None:
             return [_opening(*request)]
@@ -174,7 +174,7 @@ class FoxgloveClient:
         self._websocket.send_response(self._websocket.reject(status, f"{text}\n"))
         self._collect()
 
-    def serve(self, answer: server.HttpAnswer) -> None:
+    def serve(self, answer: page.HttpAnswer) -> None:
         """Answer it with a page instead of a WebSocket."""
         self._answered = True
         self._append(_Piece(memoryview(answer.whole("keep-alive" if self._plain else "close"))))

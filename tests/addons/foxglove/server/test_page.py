@@ -18,8 +18,10 @@ import waiting
 from hypothesis import given
 from hypothesis import strategies as st
 
+from edoras_tools.addons.foxglove.server import page
 from edoras_tools.addons.foxglove.server import server as foxglove_server
-from edoras_tools.addons.foxglove.server.server import FoxgloveServer, OriginCheck, ServerOptions
+from edoras_tools.addons.foxglove.server.page import OriginCheck
+from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.topics.messages import Records
 from edoras_tools.io.topics.streams import Topic
@@ -125,7 +127,7 @@ def get(server, path="", **headers):
 
 
 def test_it_is_one_file_that_loads_nothing_else():
-    answer = foxglove_server.answer("/", foxglove_server.SharedState(dict, float))
+    answer = page.answer("/", page.SharedState(dict, float))
     text = answer.body.decode()
     assert answer.status == 200
     assert not re.findall(r"(?:src|href)\s*=\s*[\"'](?!data:)|@import|url\(", text)
@@ -253,7 +255,7 @@ def test_browsers_that_ask_at_once_share_an_answer(link, lasts):
         asked.append(0)
         return {"asked": len(asked), "link": link}
 
-    shared = foxglove_server.SharedState(state, lambda: now[0])
+    shared = page.SharedState(state, lambda: now[0])
 
     def number():
         return json.loads(shared.text())["asked"]
@@ -272,7 +274,7 @@ def test_browsers_that_ask_at_once_share_an_answer(link, lasts):
 )
 def test_browsers_ask_again_behind_a_later_change(every_s, since_s, wait_ms):
     now = [5.0]
-    shared = foxglove_server.SharedState(dict, lambda: now[0])
+    shared = page.SharedState(dict, lambda: now[0])
     assert shared.next_ms() == 1000
     for step in (every_s, since_s):
         shared.changed()
@@ -287,9 +289,9 @@ SOCKET = b"Upgrade: websocket\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key:
 
 
 def test_a_request_of_a_browser_is_read():
-    assert foxglove_server.plain_request(BROWSER + b"\r\n") == ("/live.json?token=a", "127.0.0.1:8765", None)
+    assert page.plain_request(BROWSER + b"\r\n") == ("/live.json?token=a", "127.0.0.1:8765", None)
     origin = b"oRIGIN:  http://localhost:3000 \r\nAccept: */*\r\n"
-    assert foxglove_server.plain_request(BROWSER + origin + b"\r\n")[2] == "http://localhost:3000"
+    assert page.plain_request(BROWSER + origin + b"\r\n")[2] == "http://localhost:3000"
 
 
 @pytest.mark.parametrize(
@@ -310,7 +312,7 @@ def test_a_request_of_a_browser_is_read():
     ],
 )
 def test_anything_else_is_left_to_the_websocket(data):
-    assert foxglove_server.plain_request(data) is None
+    assert page.plain_request(data) is None
 
 
 def received(opened):

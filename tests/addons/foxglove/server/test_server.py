@@ -16,8 +16,9 @@ from websockets.exceptions import InvalidStatus
 
 from edoras_tools.addons.foxglove.server import client as foxglove_client
 from edoras_tools.addons.foxglove.server import server as foxglove_server
+from edoras_tools.addons.foxglove.server.page import OriginCheck
 from edoras_tools.addons.foxglove.server.protocol import PlaybackRequest, PlaybackState, Publisher
-from edoras_tools.addons.foxglove.server.server import FoxgloveServer, OriginCheck, ServerOptions
+from edoras_tools.addons.foxglove.server.server import FoxgloveServer, ServerOptions
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.topics.messages import Records
 from edoras_tools.io.topics.streams import Topic
