@@ -44,7 +44,6 @@ PUT_OFF = {
     ),
     "io/topics/edoras.py": ("edoras_tools.sessions.faults.rules", "2 ms, and only where faults are read"),
     "io/frames/linklayer.py": ("edoras_tools.io.frames", "10 ms, and only where there are TCP streams"),
-    "decode/columns.py": ("edoras_tools.decode.stack", "10 ms, and only for recorded topics"),
     "decode/filters/rows.py": (
         "edoras_tools.decode.stack",
         "10 ms, and only where packets are read one by one",

@@ -105,6 +105,23 @@ class Begun(NamedTuple):
     part: model.PacketBatch | None = None
 
 
+def recorded_columns(batch: model.PacketBatch, context: Context) -> model.Columns:
+    """Return the columns of the messages of a recording without datagrams."""
+    assert batch.recorded is not None, "they are messages"
+    columns = blank_columns(len(batch))
+    columns["route"] = batch.recorded["topic"].astype(np.int16)
+    columns["sequence_count"] = batch.recorded["sequence"].astype(np.uint16)
+    columns["cdr_offset"], columns["cdr_length"] = batch.offset.copy(), batch.length.copy()
+    for place, rows in arrays.by_value(columns["route"]):
+        topic = context.mission.recorded[place]
+        if topic.unread or context.types is None:
+            columns["cdr_offset"][rows], columns["cdr_length"][rows] = -1, 0
+            continue
+        valid = context.types.valid(topic.type, batch.data, batch.offset[rows], batch.length[rows])
+        columns["findings"][rows[~valid]] |= np.uint32(model.Finding.CDR_INVALID)
+    return model.Columns(**columns)
+
+
 class ColumnDecoder:
     """Decodes batches, in the order they were captured.
 
@@ -126,9 +143,7 @@ class ColumnDecoder:
         if not len(batch):  # live sources give many
             return self._nothing
         if batch.recorded is not None:
-            from edoras_tools.decode.stack import recorded_columns
-
-            return recorded_columns(batch, blank_columns(len(batch)), self.context)
+            return recorded_columns(batch, self.context)
         return self.finish(batch, self.begin(batch))
 
     def begin(self, batch: model.PacketBatch) -> Begun:

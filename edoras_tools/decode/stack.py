@@ -4,16 +4,15 @@ Decoding is lenient: only an impossible length stops it, and all that was read b
 findings are the same as those of :mod:`edoras_tools.decode.columns` for a batch.
 
 A message of a recording without datagrams is a row whose route is its topic (``PacketBatch.recorded``): it
-has no link and no MsgId, only a time, bytes and values. Its columns are here too.
+has no link and no MsgId, only a time, bytes and values.
 """
 
 from __future__ import annotations
 
 import json
 from copy import copy
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-import numpy as np
 from msgspec.structs import replace
 
 from edoras_tools import model
@@ -23,18 +22,15 @@ from edoras_tools.decode.summary import leaves_of, short_values, summarise
 from edoras_tools.errors import EdorasError, TruncatedError, WireError
 from edoras_tools.links.doors import Endpoints, Peers, Reading
 from edoras_tools.links.table import protocol
-from edoras_tools.model import NO_FINDINGS, OTHER, Columns, Decoded, Finding, Layer, LayerField, RosMessage
+from edoras_tools.model import NO_FINDINGS, OTHER, Decoded, Finding, Layer, LayerField, RosMessage
 from edoras_tools.structs.shapes import OWN_LAYERS
 from edoras_tools.wire import ccsds, cfe
-from edoras_tools.wire.arrays import by_value
 from edoras_tools.wire.envelope import CDR_BE, CDR_LE, DEFAULT, ENCAPSULATION, ROUNDED, detect
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from edoras_tools.decode.context import Context
     from edoras_tools.mission import RecordedTopic
-    from edoras_tools.model import Datagram, PacketBatch
+    from edoras_tools.model import Datagram
     from edoras_tools.ros import TypeStore
 
 
@@ -347,26 +343,6 @@ class _Dissection(Reading):
 JSON_ENCODING: Final = "json"
 RECORDED_LAYER: Final = "recorded"
 """Name of the layer with the recording's fields of a message."""
-
-
-def recorded_columns(batch: PacketBatch, columns: dict[str, NDArray[Any]], context: Context) -> Columns:
-    """Return the columns of messages.
-
-    Args:
-        columns: columns that hold their values for "none".
-    """
-    assert batch.recorded is not None, "they are messages"
-    columns["route"] = batch.recorded["topic"].astype(np.int16)
-    columns["sequence_count"] = batch.recorded["sequence"].astype(np.uint16)
-    columns["cdr_offset"], columns["cdr_length"] = batch.offset.copy(), batch.length.copy()
-    for place, rows in by_value(columns["route"]):
-        topic = context.mission.recorded[place]
-        if topic.unread or context.types is None:
-            columns["cdr_offset"][rows], columns["cdr_length"][rows] = -1, 0
-            continue
-        valid = context.types.valid(topic.type, batch.data, batch.offset[rows], batch.length[rows])
-        columns["findings"][rows[~valid]] |= np.uint32(Finding.CDR_INVALID)
-    return Columns(**columns)
 
 
 def dissect_recorded(datagram: Datagram, context: Context, *, detail: bool) -> Decoded:

@@ -20,9 +20,8 @@ Rules that every framing keeps:
 
 from __future__ import annotations
 
-from collections.abc import Set as AbstractSet
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
 import msgspec

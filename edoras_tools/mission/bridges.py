@@ -7,10 +7,8 @@ look up only their own by name.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from msgspec.structs import replace
