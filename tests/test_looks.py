@@ -12,7 +12,7 @@ from places import ROOT
 from plotted import figure  # noqa: F401  a fixture
 from rich.console import Console
 
-from edoras_tools.addons.archive.page import ArchiveTrends, answer_table, archive_page
+from edoras_tools.addons.archive.views import ArchiveTrends, answer_table, archive_page
 from edoras_tools.addons.plot.series import open_recordings, read_plot
 from edoras_tools.addons.report.charts import plots
 from edoras_tools.addons.report.page import page

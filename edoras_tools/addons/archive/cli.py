@@ -26,7 +26,7 @@ from edoras_tools.older import StrEnum
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from edoras_tools.addons.archive.page import ArchiveSpan
+    from edoras_tools.addons.archive.views import ArchiveSpan
 
 
 class _Archive(Group):
@@ -106,7 +106,7 @@ class SpanOptions(NamedTuple):
         Raises:
             ConfigError: a time has no date.
         """
-        from edoras_tools.addons.archive.page import ArchiveSpan
+        from edoras_tools.addons.archive.views import ArchiveSpan
         from edoras_tools.older import UTC
 
         moments: list[int | None] = []
@@ -138,8 +138,8 @@ def index_captures(
     Only new and changed captures are read. Exit code 3: some cannot be read whole; the index says which.
     """
     from edoras_tools.addons.archive.index import open_index
-    from edoras_tools.addons.archive.page import update_lines
     from edoras_tools.addons.archive.update import Update, bring_up_to_date
+    from edoras_tools.addons.archive.views import update_lines
 
     if work.jobs and work.scheduler:
         raise ConfigError(
@@ -170,7 +170,7 @@ def index_captures(
 def list_(*, index: Index = _INDEX, printing: RowOptions, dates: SpanOptions) -> None:
     """List the captures of the index: when, how many datagrams, what was lost, which are not whole."""
     from edoras_tools.addons.archive.index import open_index
-    from edoras_tools.addons.archive.page import list_captures
+    from edoras_tools.addons.archive.views import list_captures
 
     with open_index(index) as opened:
         rows = list_captures(opened, dates.span())
@@ -194,7 +194,7 @@ def losses(
     Exit code 3: something is listed.
     """
     from edoras_tools.addons.archive.index import open_index
-    from edoras_tools.addons.archive.page import count_examined, list_losses
+    from edoras_tools.addons.archive.views import count_examined, list_losses
 
     with open_index(index) as opened:
         span, topics = dates.span(), tuple(topic or ())
@@ -216,7 +216,7 @@ def _print_rows(kind: str, rows: list[dict[str, Any]], printing: RowOptions) -> 
     elif printing.csv:
         print_csv(rows)
     else:
-        from edoras_tools.addons.archive.page import ROW_TABLES
+        from edoras_tools.addons.archive.views import ROW_TABLES
 
         print_view(lambda width: ROW_TABLES[kind](rows, width))
 
@@ -235,7 +235,7 @@ def query(
     with open_index(index) as opened:
         names, rows = opened.answer(sys.stdin.read() if sql == "-" else sql)
         if printing.json:
-            from edoras_tools.addons.archive.page import json_rows
+            from edoras_tools.addons.archive.views import json_rows
 
             print_json({"columns": names, "rows": json_rows(rows)})
         elif printing.csv:
@@ -243,7 +243,7 @@ def query(
 
             write_csv(names, rows)
         else:
-            from edoras_tools.addons.archive.page import answer_table
+            from edoras_tools.addons.archive.views import answer_table
 
             print_view(lambda width: answer_table(names, rows, width))
 
@@ -260,7 +260,7 @@ def report(
 ) -> None:
     """Write one HTML page: runs over time, trends of losses and latencies, the worst of both."""
     from edoras_tools.addons.archive.index import open_index
-    from edoras_tools.addons.archive.page import archive_page, trends_of
+    from edoras_tools.addons.archive.views import archive_page, trends_of
     from edoras_tools.io.outputs import check_new
 
     check_new(output, [index], force=force)

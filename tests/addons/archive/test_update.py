@@ -24,9 +24,9 @@ from places import CAPTURES, MISSIONS
 
 from edoras_tools.addons.archive import update, work
 from edoras_tools.addons.archive.index import TABLES, open_index
-from edoras_tools.addons.archive.page import ArchiveSpan, list_captures, list_losses
 from edoras_tools.addons.archive.places import find_captures
 from edoras_tools.addons.archive.update import Update, UpdateReport, _Run, bring_up_to_date
+from edoras_tools.addons.archive.views import ArchiveSpan, list_captures, list_losses
 from edoras_tools.addons.archive.work import Task, examine_group, fingerprint
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.pipelines.capture.info import inspect

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from edoras_tools.addons.archive.page import BINS, _round_time, bin_ns
+from edoras_tools.addons.archive.views import BINS, _round_time, bin_ns
 from edoras_tools.units import SECOND
 
 DAY_S = 86_400
