@@ -471,8 +471,9 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
         way.hop(BUS, _BY_BUS)
         way.end("not_captured", number)
         yield way
-    for refused in filter(case.commands.unplaced.__getitem__, case.refused):
-        yield _of_no_stream(case, refused, case.commands.unplaced[refused])
+    for refused in case.refused:
+        if case.commands.unplaced[refused] or refused.perhaps:
+            yield _of_no_stream(case, refused, case.commands.unplaced[refused])
     if drops := case.capture.drops:
         way = LedgerWay(LedgerTraffic(), drops + len(case.rows))
         way.hop(CAPTURE, {"in": "the capture's own counter", "out": SEEN})
@@ -758,6 +759,7 @@ def _of_no_stream(case: Case, item: Verdict, number: int) -> LedgerWay:
     way = LedgerWay(traffic, max(number, item.of or 0))
     way.hop(item.hop or "cFS", {"in": SEEN, "lost": "each datagram by itself"})
     _refuse(way, item, number, own)
+    way.end("uncertain", item.perhaps)
     return way
 
 

@@ -83,6 +83,7 @@ class Verdict(msgspec.Struct, frozen=True):
             messages that did not arrive by counts and datagrams.
         advice: advice on the queue that lost the messages; None without any.
         spacecraft: number of the spacecraft; None if there is only one.
+        perhaps: number of messages that it may have cost; nothing shows whether it did.
     """
 
     severity: Severity
@@ -102,6 +103,7 @@ class Verdict(msgspec.Struct, frozen=True):
     by_type: bool = False
     advice: Advice | None = None
     spacecraft: int | None = None
+    perhaps: int = 0
 
     @property
     def start_ns(self) -> int:

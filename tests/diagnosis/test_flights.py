@@ -764,6 +764,18 @@ def test_a_peer_of_another_name_is_named_where_nothing_shows_what_became_of_its_
     assert any("SBN messages of 66:9" in item.reason for item in named)
 
 
+@pytest.mark.parametrize(
+    ("name", "most", "number"),
+    [("bridge_of_wrong_ids", 54, 140), ("bridge_of_wrong_ids", 96, 140), ("peer_of_an_older_sbn", 112, 90)],
+)
+def test_what_a_peer_sent_that_cfs_may_not_know_is_uncertain(tmp_path, name, most, number):
+    """The events that refuse it are cut off."""
+    items = mutations.cut_off(most)(mutations.frames(FOLDER / f"{name}.pcap.zst"), random.Random(1))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    rows = [row for row in found.balance if row.hop == "SBN"]
+    assert (sum(row.uncertain for row in rows), sum(row.proven for row in rows)) == (number, 0)
+
+
 def test_two_cfs_of_one_host_that_cut_frames_do_not_name_count_each_loss_once(tmp_path):
     """What Telemetry Output sends before it crosses SBN shows whose it is."""
     items = mutations.frames(FOLDER / "peers_flood_each_other.pcap.zst")
@@ -787,6 +799,14 @@ def test_two_cfs_without_counts_that_differ_are_told_apart_by_their_names(tmp_pa
     items = mutations.without_telemetry(0x803)(items, random.Random(1))
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
     assert {item.name for item in found.case.instances.items} == {"66:1", "66:2"}
+    assert found.lost + found.unaccounted <= FLIGHTS["two_cfs"][0]
+
+
+@pytest.mark.parametrize("most", [72, 96])
+def test_two_cfs_without_counters_and_names_are_told_apart_by_their_other_housekeeping(tmp_path, most):
+    items = mutations.without_telemetry(0x803)(mutations.frames(FOLDER / "two_cfs.pcap.zst"), random.Random(1))
+    items = mutations.cut_off(most)(items, random.Random(1))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
     assert found.lost + found.unaccounted <= FLIGHTS["two_cfs"][0]
 
 
@@ -1096,6 +1116,7 @@ CHANGED = [
     ("two_taps_of_one_cable", "5 % removed"),
     ("two_cfs", "cut to 80"),
     ("damaged_commands", "cut to 80"),
+    ("processor_of_peers_restarted", "cut to 64"),
 ]
 
 
@@ -1168,6 +1189,8 @@ HURT = [
     ("damaged_commands", mutations.without_one(1234)),
     *((name, LATE) for name in ("frames_in_bursts", "processor_restarted", "stood_still", "each_sent_twice")),
     *((name, mutations.only_to(1235)) for name in ("added_again_lower", "limits_changed_in_overload")),
+    ("limits_changed_in_overload", mutations.cut_off(54)),
+    ("processor_of_peers_restarted", mutations.without_telemetry(0x828)),
     ("two_cfs", mutations.part(0, 0.85)),
     ("two_cfs", mutations.late(200_000_000, 2234)),
     ("two_cfs", mutations.without_one(1234)),

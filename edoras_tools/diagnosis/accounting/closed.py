@@ -642,7 +642,10 @@ class Stops:
         return inside
 
     def _mark_closed(self, fate: Fate) -> None:
-        """Mark the messages that came over SBN, or were to leave over it, while it was closed (rule 11)."""
+        """Mark the messages that came over SBN, or were to leave over it, while it was closed (rule 11).
+
+        To another cFS goes a copy: Telemetry Output may send the message too, on a way that is not captured.
+        """
         case, stream = self._case, fate.stream
         system, peer = case.system(stream), case.network.identity_of.get
         ways = [(Way(stream.msg_id, stream.link, system, to_cfs=True), np.ones(len(stream), bool))]
@@ -652,8 +655,9 @@ class Stops:
                 way = Way(each.out.msg_id, each.out.link, system, peer=peer(each.out.receiver, ""))
                 ways.append((way, self._untaken(fate, each, _newest(fate, each, case.profile.sbn_wake_ns))))
         times, gap = stream.time_ns, np.cumsum(fate.arrived)
+        others = {item.name for item in case.instances.items}
         closed = [
-            (_CLOSED[span.change.subject.kind], span, newest)
+            (_CLOSED[span.change.subject.kind], span, newest, way.peer in others)
             for way, newest in ways
             for span in case.timeline.blocking(way, 0, NEVER)
             if (way.to_cfs if span.change.subject.kind == "route" else way.link.peers)
@@ -661,7 +665,7 @@ class Stops:
             if span.change.subject.kind != "app" or _is_sure(case, span)
         ]
         for early_ns, until in ((0, "end_lo"), (WAITS_NS, "end_hi")):
-            for (_, kind, hop), span, newest in sorted(closed, key=itemgetter(0)):
+            for (_, kind, hop), span, newest, is_copy in sorted(closed, key=itemgetter(0)):
                 inside = fate.open & ~fate.newer & (fate.stop < 0)
                 inside &= (times > span.start_lo - early_ns) & (times < getattr(span, until))
                 if not inside.any():
@@ -672,6 +676,7 @@ class Stops:
                 around = np.isin(gap, np.setdiff1d(gap[inside], [0, *gap[-1:]])) & (fate.stop < 0)
                 fate.newer |= (inside | (fate.open & around)) & ~newest
                 inside &= newest
+                fate.end("missed", inside & is_copy)
                 fate.no_pipe |= inside
                 self.mark(fate, inside, kind, hop, reason_text(span, case.at))
 

@@ -257,13 +257,17 @@ class Commands:
         return is_so and (1 - down.sum() / max(1, len(down))) ** int((up & ~alone).sum()) < 1 - CONFIDENCE
 
     def _down(self, fate: Fate) -> None:
-        """Make losses of messages over SBN to a cFS that was down: from its last packet to its next boot."""
+        """Make losses of messages over SBN to a cFS that was down: from its last packet to its next boot.
+
+        They may be lost if nothing shows which cFS of several at its address they went to.
+        """
         case, times = self._case, fate.stream.time_ns
         connection = case.network.crossing(fate.stream.sender, fate.stream.receiver)
         if connection and (connection.restarts or any(connection.silences(case.end_ns))):
             return  # the account of silent peers has them
         items, systems = case.instances.items, case.instances.systems
         said_ns = case.rows.time_ns[case.rows.source == fate.stream.receiver]
+        sole = len({systems[at] for at in range(len(items)) if case.goes_to(fate.stream, at)}) == 1
         for index, later in enumerate(items):
             own = (item for item, system in zip(items, systems, strict=True) if system == systems[index])
             before = [item.last_ns for item in own if item.last_ns < later.first_ns]
@@ -273,7 +277,10 @@ class Commands:
                     boot_ns = int(said_ns[said_ns > ended_ns].min(initial=later.first_ns))
                 rows = np.flatnonzero(fate.open & (times > ended_ns) & (times < boot_ns))
                 text = f"{plural(len(rows), 'message')} over SBN while it was not running"
-                self._lose(fate, "down", rows, text)
+                if sole:
+                    self._lose(fate, "down", rows, text)
+                else:
+                    fate.ends["missed" if fate.seen else "earlier"] += fate.claim(rows)
 
     def _before_sbn(self, fate: Fate) -> None:
         """Make losses of messages over SBN that nothing in cFS explains: of bursts, or from another host.

@@ -43,6 +43,8 @@ _LEAST_ROWS: Final = 3
 _BASELINE_NS: Final = 5 * SECOND
 """Window in which at least one packet has a short delay, and no clock drifts much."""
 NOBODY: Final = -1
+_HOUSEKEEPING: Final = 0x0800, 0x0801, 0x0803, 0x0804, 0x0805
+"""Packets that each cFE makes once in a second, or less often: no sequence count comes again soon."""
 
 
 class Instance(NamedTuple):
@@ -415,15 +417,18 @@ def _hand_on_unseen(rows: Rows, output: Places, label: Places, on_sbn: Mask) -> 
 
 
 def _conflict(rows: Rows, members: Places) -> bool:
-    """Return whether 0x803 packets with one count have different contents: then two instances make them.
+    """Return whether housekeeping of one count has different contents: then two instances make it.
 
     Only packets of one length are compared, because cut frames leave parts of different length.
     """
-    counters = members[rows.known_id[members] == cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID]
-    _, content = numbered(rows.sequence_count[counters], rows.packet_length[counters])
-    different, _ = numbered(content, rows.packet_print[counters])
-    counts = np.bincount(content[different])
-    return int((counts > 1).sum()) > int((counts > 0).sum()) // 4
+    own = members[np.isin(rows.known_id[members], _HOUSEKEEPING)]
+    for _, packets in groups(rows.known_id, own):
+        _, content = numbered(rows.sequence_count[packets], rows.packet_length[packets])
+        different, _ = numbered(content, rows.packet_print[packets])
+        counts = np.bincount(content[different])
+        if int((counts > 1).sum()) > int((counts > 0).sum()) // 4:
+            return True
+    return False
 
 
 def _clock_goes_back(rows: Rows, own: Places) -> bool:

@@ -553,7 +553,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
     for who, members in groups(rows.sbn_sender(), np.flatnonzero(foreign)):
         peer, start_ns = peer_of(who), case.span(members)[0]
         lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
-        messages = members[rows.msg_id[members] != NO_MSG_ID]
+        messages = members[rows.sbn_msg_type[members] == sbn.MsgType.APP]
         came, followed = np.isin(messages, came_out), np.isin(rows.msg_id[messages], msg_ids)
         usual = case.network.identity_of.get(int(rows.source[members[0]]))
         if 2 * came.sum() > len(messages) or (not lines and usual == str(peer)):
@@ -570,11 +570,12 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             f", the first of {len(members):,} datagrams" * (len(members) > 1),
         )
         if not lines and 2 * (came | ~followed).sum() > len(messages):  # what is not followed may come out
-            refused = replace(refused, severity=Severity.WARNING)
+            unseen = int((~came).sum())
+            refused = replace(refused, severity=Severity.WARNING, of=unseen or None, perhaps=unseen)
         elif len(messages):  # subscriptions are no messages
             refused = replace(refused, lost=len(messages), of=len(messages))
-        carried = np.unique(rows.msg_id[members]).tolist()
-        yield replace(refused, msg_id=carried[0]) if len(carried) == 1 and len(messages) else refused
+        carried = {*rows.msg_id[messages].tolist()} - {NO_MSG_ID}
+        yield replace(refused, msg_id=carried.pop()) if len(carried) == 1 else refused
 
 
 _LEAST: Final = 6

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from functools import cached_property
 from operator import attrgetter
 from typing import TYPE_CHECKING, Final
 
@@ -80,12 +79,6 @@ class SoftwareChanges(msgspec.Struct, dict=True):
     jumps: Sequence[Jump]
     resets: Sequence[tuple[int, int, int]]
 
-    @cached_property
-    def _cut(self) -> set[int]:
-        """MsgIds that commands add whose arguments are cut off; for these an event has the limit."""
-        added = self._payloads.outputs(telemetry_output.ADD_PACKET)
-        return {item.entry for item in added if not item.is_whole}
-
     def changes(self) -> Iterator[Change]:
         """Yield all changes: of commands, then of events, then of boots."""
         for command in self._payloads.commands:
@@ -104,7 +97,7 @@ class SoftwareChanges(msgspec.Struct, dict=True):
 
         if command.msg_id == executive_services.COMMAND_MSG_ID:
             yield from self._executive(command, change(_CLOCK, ""))
-        elif not command.is_whole:
+        elif not command.is_whole and command.entry < 0:
             return  # its arguments are cut off
         elif command.msg_id == telemetry_output.COMMAND_MSG_ID:
             entry = StateOwner("entry", "", command.entry)
@@ -116,7 +109,7 @@ class SoftwareChanges(msgspec.Struct, dict=True):
                 removals = self._payloads.outputs(telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL)
                 before = {item.entry for item in removals if item.time_ns < command.time_ns}
                 if before & {-1, command.entry} or not self._answered(command, text):
-                    yield change(entry, "subscribed", values["limit"])
+                    yield change(entry, "subscribed", values.get("limit", self._added(command)))
             elif code == telemetry_output.REMOVE_PACKET:
                 yield change(entry, "unsubscribed")
             elif code == telemetry_output.REMOVE_ALL:
@@ -127,11 +120,20 @@ class SoftwareChanges(msgspec.Struct, dict=True):
         elif command.msg_id == TIME_MSG_ID and code in time_services.SETS:
             yield self._clock(command, change(_CLOCK, "set"))
 
-    def _answered(self, command: CommandRecord, words: str) -> bool:
-        """Return whether an event soon after a command contains some words."""
+    def _answers(self, command: CommandRecord) -> Sequence[EventRecord]:
+        """Return the events soon after a command."""
         events, until_ns = self._payloads.events, command.time_ns + _SLACK_NS
         first, end = (bisect_left(events, when, key=_TIME) for when in (command.time_ns, until_ns))
-        return any(words in item.message for item in events[first:end])
+        return events[first:end]
+
+    def _answered(self, command: CommandRecord, words: str) -> bool:
+        """Return whether an event soon after a command contains some words."""
+        return any(words in item.message for item in self._answers(command))
+
+    def _added(self, command: CommandRecord) -> int | None:
+        """Return the limit of an added entry by an event; None without one."""
+        found = (telemetry_output.ADDED.pattern.fullmatch(item.message) for item in self._answers(command))
+        return next((int(it["limit"]) for it in found if it and int(it["msg_id"], 16) == command.entry), None)
 
     def _executive(self, command: CommandRecord, pattern: Change) -> Iterator[Change]:
         state = _APP_STATES.get(command.function_code)
@@ -212,9 +214,6 @@ class SoftwareChanges(msgspec.Struct, dict=True):
                         yield replace(result, state="running", not_before_ns=low_ns)
         elif enabled := telemetry_output.ENABLED.pattern.fullmatch(event.message):
             yield change(_OUTPUT, "enabled", enabled["address"])
-        elif added := telemetry_output.ADDED.pattern.fullmatch(event.message):
-            if (msg_id := int(added["msg_id"], 16)) in self._cut:
-                yield change(StateOwner("entry", "", msg_id), "subscribed", int(added["limit"]))
         elif telemetry_output.SUPPRESSED.phrase in event.message:
             yield change(_OUTPUT, "suppressed")
 
