@@ -44,7 +44,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import Counter
 from functools import cache, cached_property, partial
-from math import ceil, exp, lgamma, log, log1p, sqrt
+from math import ceil, exp, inf, lgamma, log, log1p, sqrt
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import msgspec
@@ -196,10 +196,19 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         number = min((largest_number(count, *group, each) for group in self.groups), default=count)
         return min(number, self.drops or 0) if self.counts else number
 
-    @cached_property
-    def of_runs(self) -> Quality:
-        """The bounds for datagrams missing in runs: a run has no neighbours whose numbers show it."""
-        return Quality(tuple(item for item in self.evidence if item.kind != "identifications"), self.drops)
+    def of_runs(self, size: float) -> Quality:
+        """Return the bounds for runs of missing datagrams: a run has no neighbours whose numbers show it.
+
+        Counters check whole spans of time: a run takes as many of these datagrams as it takes others.
+
+        Args:
+            size: number of datagrams of each run.
+        """
+        sizes = {"identifications": inf, "ci_counts": size, "sequence_counts": size}
+        each = ((kind, who, sizes.get(kind, 1), both) for (who, kind), both in self.sums.items())
+        return Quality(
+            tuple(Evidence(kind, who, *(int(at / one) for at in both)) for kind, who, one, both in each)
+        )
 
     @property
     def longest_run(self) -> int:

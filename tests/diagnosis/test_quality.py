@@ -1,11 +1,14 @@
 """What bounds the losses of a capture: exact binomial bounds, and captures with frames removed at random."""
 
+import random
 from fractions import Fraction
 from math import comb
 from types import SimpleNamespace
 
+import mutations
 import numpy as np
 import pytest
+import truth
 from hypothesis import given
 from hypothesis import strategies as st
 from places import CAPTURES
@@ -143,9 +146,30 @@ def test_a_stream_with_more_gaps_of_other_causes_does_not_show_the_runs():
 def test_what_is_missing_in_runs_is_not_bounded_by_its_neighbours():
     alone = Quality((Evidence("identifications", 0, 400, 0),))
     assert alone.excludes(0.1)
-    assert not alone.of_runs.excludes(0.1)
+    assert not alone.of_runs(1).excludes(0.1)
     both = Quality((*alone.evidence, Evidence("periods", 0, 100, 0)))
-    assert both.of_runs.excludes(0.1)
+    assert both.of_runs(5).excludes(0.1)
+
+
+@pytest.mark.parametrize("kind", ["sequence_counts", "ci_counts"])
+def test_a_run_takes_as_many_of_the_datagrams_that_counters_check(kind):
+    """They lie behind each other, as those of the run do: 100 of them are 10 trials."""
+    counted = Quality((Evidence(kind, 0, 100, 0),))
+    assert counted.of_runs(1).excludes(0.1)
+    assert not counted.of_runs(10).excludes(0.1)
+    assert counted.of_runs(10).may_have_missed(100) > 3 * counted.may_have_missed(100)
+
+
+@pytest.mark.parametrize(("number", "seed"), [(5, 19), (12, 14), (12, 26)])
+def test_runs_that_the_capture_missed_are_no_loss_behind_an_overloaded_pipe(tmp_path, number, seed):
+    """What the pipe lost hides the runs in one stream, and the counters check a part of the time only."""
+    chance = random.Random(seed)
+    items = mutations.frames(truth.FOLDER / "season3/q12_to_limits_changed.pcap.zst")
+    starts = [chance.randrange(len(items) - 12) for _ in range(number)]
+    gone = {at for start in starts for at in range(start, start + 12)}
+    items = [item for at, item in enumerate(items) if at not in gone]
+    found = truth.examined(mutations.write(tmp_path / "x.pcap", items))
+    assert found.lost + found.unaccounted <= 254
 
 
 def test_nothing_checked_may_have_missed_all():

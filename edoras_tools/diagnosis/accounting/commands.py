@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Hashable
 from functools import cached_property
+from math import ceil
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -784,14 +785,17 @@ def _missed(case: Case, gaps: Mapping[Any, list[int]]) -> Iterator[tuple[Stream,
     missing, streams = sum(map(sum, gaps.values())), [item for item in case.streams if gaps.get(item)]
     runs = least_runs(case, [item for item in streams if 2 * sum(gaps[item]) > item.missing.sum()])
     few = 0 < runs <= FEW_RUNS and not case.quality.counts
-    quality = case.quality.of_runs if 0 < 2 * runs <= missing else case.quality
+    in_runs = 0 < 2 * runs <= missing and not case.quality.counts
+    size = missing / runs if in_runs else 1.0
+    quality = case.quality.of_runs(size) if in_runs else case.quality
     # In streams without sequence counts a frame missed by the capture leaves no gap.
     came = sum(len(item) for item in case.streams if item.counted and not item.link.only_to_cfs)
     excluded = not few and missing and quality.excludes(missing / (came + missing))
     for stream in () if excluded else streams:
-        numbers, size = gaps[stream], len(stream) + int(stream.missing.sum())
+        numbers, whole = gaps[stream], len(stream) + int(stream.missing.sum())
         # One missed frame is enough to lose a datagram.
-        most = sum(numbers) if few else quality.may_have_missed(case.frames(stream) * size, case.confidence)
+        most = quality.may_have_missed(ceil(case.frames(stream) * whole / size), case.confidence)
+        most = sum(numbers) if few else ceil(most * size)
         yield stream, claims.shares(min(sum(numbers), most), numbers)
 
 
@@ -822,11 +826,10 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
         fates: fates of messages into cFS; their unaccounted messages are reduced too.
         losses: losses of messages into cFS.
     """
-    _take_back_in_holes(case, telemetry)
     streamed = case.rows.streamed
     gaps: dict[Stream, list[tuple[Loss, int]]] = {}
     for loss in telemetry.losses:
-        number = loss.lost if loss.kind in _UNEXPLAINED else loss.uncounted
+        number = _not_proven(loss)
         if number and loss.stream is not None and not streamed[loss.stream.rows[0]]:
             gaps.setdefault(loss.stream, []).append((loss, number))
     # Of those whose loss was counted, some may be others, because the capture missed these.
@@ -840,9 +843,11 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
     unexplained = {
         item: [many * (loss.kind in _UNEXPLAINED) for loss, many in own] for item, own in gaps.items()
     }
-    for stream, shares in dict([*_missed(case, unexplained), *_missed(case, every)]).items():
+    missed = dict([*_missed(case, unexplained), *_missed(case, every)])
+    _take_back_in_holes(case, telemetry)
+    for stream, shares in missed.items():
         for (loss, number), share in zip(gaps[stream], shares, strict=True):
-            _take_back(telemetry, loss, min(number, share + spare))
+            _take_back(telemetry, loss, min(number, share + spare, _not_proven(loss)))
             spare -= min(spare, number - share)
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
     for fate in (fate for fate in fates if fate.seen and fate.ends["unaccounted"]):
@@ -857,10 +862,15 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
 def _take_back_in_holes(case: Case, telemetry: Telemetry) -> None:
     """Take back losses in intervals in which nothing at all was captured."""
     for loss in telemetry.losses if case.possible_holes else ():
-        among, number = loss.among, loss.uncounted if loss.kind in COUNTERS else loss.lost
+        among, number = loss.among, _not_proven(loss)
         if number and among is not None and among.missing is not None:
             inside = containing(among.stream, among.rows, case.possible_holes)
             _take_back(telemetry, loss, min(number, int(among.missing[inside].sum())))
+
+
+def _not_proven(loss: Loss) -> int:
+    """Return how many messages of a loss only their sequence counts show."""
+    return loss.lost if loss.kind in _UNEXPLAINED else loss.uncounted
 
 
 def _take_back(telemetry: Telemetry, loss: Loss, number: int) -> None:
