@@ -806,8 +806,6 @@ def test_two_cfs_without_counts_that_differ_are_told_apart_by_their_names(tmp_pa
 def test_two_cfs_without_counters_and_names_are_told_apart_by_their_other_housekeeping(tmp_path, most):
     items = mutations.frames(FOLDER / "two_cfs.pcap.zst")
     items = mutations.without_telemetry(0x803)(items, random.Random(1))
-        mutations.frames(FOLDER / "two_cfs.pcap.zst"), random.Random(1)
-    )
     items = mutations.cut_off(most)(items, random.Random(1))
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
     assert found.lost + found.unaccounted <= FLIGHTS["two_cfs"][0]
