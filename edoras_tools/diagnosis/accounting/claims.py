@@ -51,6 +51,8 @@ class Rank(IntEnum):
     """Missing by its sequence count, but no pipe was full: it gets counts that nothing above explains."""
     POSSIBLE = 7
     """From this rank on the messages may also have arrived."""
+    UNNAMED = 13
+    """From this rank on, too, and no event names them: their stream is too slow to fill a pipe."""
 
 
 _APART_NS: Final = 3 * SECOND
@@ -347,7 +349,7 @@ def settle_possible(
     """Assign what is left to messages that may be lost, where only one kind of traffic can have caused it.
 
     A count that a surely missing message may have caused proves no other loss, so those are served before
-    anything is shared.
+    anything is shared, or goes to messages that no pipe need have lost.
 
     Returns:
         The counts that several kinds of traffic share.
@@ -370,7 +372,7 @@ def settle_possible(
                     span = counts[table.instance].times[second : second + 2].tolist()
                     unseen = table.unseen(second, rivals, span)
                     flows = table.sharers(second, takers, unseen)
-                    if flows and has_rest:
+                    if has_rest and (flows or (takers and rank >= Rank.UNNAMED)):
                         settle_rest(counts, claims)
                         has_rest = False
                     table.give_surplus(second, takers, unseen)

@@ -843,9 +843,9 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
     unexplained = {
         item: [many * (loss.kind in _UNEXPLAINED) for loss, many in own] for item, own in gaps.items()
     }
-    missed = dict([*_missed(case, unexplained), *_missed(case, every)])
+    parts = dict([*_missed(case, unexplained), *_missed(case, every)])
     _take_back_in_holes(case, telemetry)
-    for stream, shares in missed.items():
+    for stream, shares in parts.items():
         for (loss, number), share in zip(gaps[stream], shares, strict=True):
             _take_back(telemetry, loss, min(number, share + spare, _not_proven(loss)))
             spare -= min(spare, number - share)

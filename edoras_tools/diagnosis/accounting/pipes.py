@@ -161,7 +161,7 @@ class Pipes:
             if has_events:
                 rank = Rank.PRESSED if rank == Rank.ABSENT else rank
             elif not is_named:
-                rank = _UNNAMED.get(rank, rank + len(_RANKS))
+                rank = _UNNAMED.get(rank, rank + Rank.UNNAMED - Rank.POSSIBLE)
             if place == _MAY_WAIT:
                 rows = rows[np.logical_or.reduce([own.often(low_ns[rows], high_ns[rows]) for own in counts])]
             for members in claimed_alike(counts, low_ns[rows], high_ns[rows], which[rows]):

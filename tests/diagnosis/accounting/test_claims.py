@@ -170,6 +170,14 @@ def test_counts_of_the_likelier_counter_go_before_the_second_choice_of_others():
     assert [sum(item.assigned.values()) for item in (*named, other)] == [2, 2, 0]
 
 
+@pytest.mark.parametrize(("rank", "number"), [(Rank.POSSIBLE + 1, 2), (Rank.UNNAMED + 1, 0)])
+def test_a_gap_gets_a_count_before_what_gave_way_to_a_newer_one_if_nothing_names_that(rank, number):
+    there = counts([2], [0])
+    gap, superseded = claim(0, 0, 0, 3, KINDS, Rank.MISSING), claim(1, 0, 0, 2, KINDS, rank, flow=7)
+    assert settle_possible({0: there}, [gap, superseded]) == []
+    assert (gap.explained, superseded.explained) == (2 - number, number)
+
+
 def test_what_the_capture_may_have_missed_takes_what_is_left_at_the_end():
     there = counts([3], [0])
     missing = claim(0, 0, 0, 1, KINDS, Rank.MISSING)
