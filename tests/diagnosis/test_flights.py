@@ -764,6 +764,12 @@ def test_a_peer_of_another_name_is_named_where_nothing_shows_what_became_of_its_
     assert any("SBN messages of 66:9" in item.reason for item in named)
 
 
+def test_a_peer_that_cfs_refuses_is_refused_whatever_a_mission_names():
+    files = [ROOT / f"samples/missions/two_arms_{side}.yaml" for side in ("ground", "flight")]
+    found = truth.examined(FOLDER / "bridge_of_wrong_ids.pcap.zst", (), tuple(files))
+    assert by_cause(found) == by_cause(examined("bridge_of_wrong_ids"))
+
+
 @pytest.mark.parametrize(
     ("name", "most", "number"),
     [("bridge_of_wrong_ids", 54, 140), ("bridge_of_wrong_ids", 96, 140), ("peer_of_an_older_sbn", 112, 90)],

@@ -539,6 +539,9 @@ def _foreign(case: Case) -> Mask:
             same &= ~np.isin(rows.source[near], ends_of.get(int(owner[record.row]), ()))
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True
+    # What it refuses once it refuses always; a mission may name a peer that its table does not.
+    _, who = numbered(rows.source[network], rows.sbn_sender(network))
+    foreign[network] |= np.isin(who, who[foreign[network]]) & ~listed[network]
     return foreign & ~rows.has(Finding.SBN_LEGACY_HEADER)
 
 
