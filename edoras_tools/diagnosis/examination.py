@@ -320,15 +320,11 @@ def judge_single(
         if name in SINGLE:
             progress(len(verdicts))
             verdicts[name] = [_completed(case, name, verdict) for verdict in rule(case)]
-    case.refused += [item for members in verdicts.values() for item in members if _takes(item)]
-    rest = iter(map(case.commands.refusals, case.refused))
+    every = [item for members in verdicts.values() for item in members]
+    case.refused += [item for item in every if item.lost or item.perhaps]
     for members in verdicts.values():
-        members[:] = [_lost_here(item, next(rest)) if _takes(item) else item for item in members]
+        members[:] = [_lost_here(item, case.commands.refusals(item)) for item in members]
     return verdicts
-
-
-def _takes(item: Verdict) -> bool:
-    return bool(item.lost or item.perhaps)
 
 
 def _completed(case: Case, rule: str, verdict: Verdict) -> Verdict:

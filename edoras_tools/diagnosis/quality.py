@@ -206,9 +206,10 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         """
         sizes = {"identifications": inf, "ci_counts": size, "sequence_counts": size}
         each = ((kind, who, sizes.get(kind, 1), both) for (who, kind), both in self.sums.items())
-        return Quality(
-            tuple(Evidence(kind, who, *(int(at / one) for at in both)) for kind, who, one, both in each)
+        items = (
+            Evidence(kind, who, *(int(number / one) for number in both)) for kind, who, one, both in each
         )
+        return Quality(tuple(items))
 
     @property
     def longest_run(self) -> int:

@@ -278,10 +278,9 @@ class Commands:
                     boot_ns = int(said_ns[said_ns > ended_ns].min(initial=later.first_ns))
                 rows = np.flatnonzero(fate.open & (times > ended_ns) & (times < boot_ns))
                 text = f"{plural(len(rows), 'message')} over SBN while it was not running"
-                if sole:
-                    self._lose(fate, "down", rows, text)
-                else:
+                if not sole:
                     fate.ends["missed" if fate.seen else "earlier"] += fate.claim(rows)
+                self._lose(fate, "down", rows, text)
 
     def _before_sbn(self, fate: Fate) -> None:
         """Make losses of messages over SBN that nothing in cFS explains: of bursts, or from another host.
@@ -785,9 +784,8 @@ def _missed(case: Case, gaps: Mapping[Any, list[int]]) -> Iterator[tuple[Stream,
     missing, streams = sum(map(sum, gaps.values())), [item for item in case.streams if gaps.get(item)]
     runs = least_runs(case, [item for item in streams if 2 * sum(gaps[item]) > item.missing.sum()])
     few = 0 < runs <= FEW_RUNS and not case.quality.counts
-    in_runs = 0 < 2 * runs <= missing and not case.quality.counts
-    size = missing / runs if in_runs else 1.0
-    quality = case.quality.of_runs(size) if in_runs else case.quality
+    size = missing / runs if 0 < 2 * runs <= missing and not case.quality.counts else 1.0
+    quality = case.quality.of_runs(size) if size > 1 else case.quality
     # In streams without sequence counts a frame missed by the capture leaves no gap.
     came = sum(len(item) for item in case.streams if item.counted and not item.link.only_to_cfs)
     excluded = not few and missing and quality.excludes(missing / (came + missing))
