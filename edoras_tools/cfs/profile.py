@@ -222,11 +222,6 @@ class SimProfile(msgspec.Struct, frozen=True):
         return replace(self, ci_port=ports.ci, to_port=ports.to, sbn_port=ports.sbn, sbn_peers=(bridge,))
 
     @property
-    def boot_time_s(self) -> int:
-        """Mission time at start, s since its epoch."""
-        return self.boot_met_s + self.epoch_offset_s
-
-    @property
     def peer(self) -> Peer:
         """Identity of this instance for its SBN peers."""
         return Peer(self.spacecraft_id, self.processor_id)

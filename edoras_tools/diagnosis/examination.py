@@ -320,8 +320,7 @@ def judge_single(
         if name in SINGLE:
             progress(len(verdicts))
             verdicts[name] = [_completed(case, name, verdict) for verdict in rule(case)]
-    every = [item for members in verdicts.values() for item in members]
-    case.refused += [item for item in every if item.lost or item.perhaps]
+    case.refused += [item for own in verdicts.values() for item in own if item.lost or item.perhaps]
     for members in verdicts.values():
         members[:] = [_lost_here(item, case.commands.refusals(item)) for item in members]
     return verdicts

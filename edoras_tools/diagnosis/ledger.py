@@ -471,9 +471,8 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
         way.hop(BUS, _BY_BUS)
         way.end("not_captured", number)
         yield way
-    for refused in case.refused:
-        if case.commands.unplaced[refused] or refused.perhaps:
-            yield _of_no_stream(case, refused, case.commands.unplaced[refused])
+    for refused in (one for one in case.refused if case.commands.unplaced[one] or one.perhaps):
+        yield _of_no_stream(case, refused, case.commands.unplaced[refused])
     if drops := case.capture.drops:
         way = LedgerWay(LedgerTraffic(), drops + len(case.rows))
         way.hop(CAPTURE, {"in": "the capture's own counter", "out": SEEN})
@@ -756,7 +755,7 @@ def _of_no_stream(case: Case, item: Verdict, number: int) -> LedgerWay:
     owners = {case.label(case.owner(stream)) for stream in down if stream.link.label == item.link}
     instance = owners.pop() if len(owners) == 1 else None
     traffic = LedgerTraffic(link=item.link or "", msg_id=item.msg_id, instance=instance)
-    way = LedgerWay(traffic, max(number, item.of or 0))
+    way = LedgerWay(traffic, max(number + item.perhaps, item.of or 0))
     way.hop(item.hop or "cFS", {"in": SEEN, "lost": "each datagram by itself"})
     _refuse(way, item, number, own)
     way.end("uncertain", item.perhaps)

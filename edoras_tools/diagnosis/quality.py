@@ -134,7 +134,7 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         return any(item.missing for item in self.evidence if item.kind in _ANSWERED)
 
     @cached_property
-    def sums(self) -> dict[tuple[int, str], tuple[int, int]]:
+    def sums(self) -> dict[tuple[int, EvidenceKind], tuple[int, int]]:
         """(sender, kind) to the numbers of datagrams checked and missing."""
         parts = by_key(self.evidence, lambda item: (item.sender, item.kind)).items()
         return {key: (sum(one.checked for one in own), sum(one.missing for one in own)) for key, own in parts}
@@ -159,18 +159,9 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         return sorted({group for key, group in self.sums.items() if is_fair(*key, *group)})
 
     @cached_property
-    def _best(self) -> tuple[int, int]:
+    def best(self) -> tuple[int, int]:
+        """Numbers of datagrams (checked, missing) of the group with the lowest bound; 0 and 0 without any."""
         return min(self.groups, key=lambda group: largest_share(*group), default=(0, 0))
-
-    @property
-    def checked(self) -> int:
-        """The number of datagrams checked in the group with the lowest bound: k."""
-        return self._best[0]
-
-    @property
-    def missing(self) -> int:
-        """The number of these that were not captured: m."""
-        return self._best[1]
 
     @property
     def counts(self) -> bool:
@@ -188,7 +179,7 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
 
     def upper_share(self) -> float:
         """Return the largest share of frames that the capture can have missed, 0 to 1."""
-        return 0.0 if self.known_zero else largest_share(*self._best, self._each(CONFIDENCE))
+        return 0.0 if self.known_zero else largest_share(*self.best, self._each(CONFIDENCE))
 
     def may_have_missed(self, count: int, confidence: float = CONFIDENCE) -> int:
         """Return the largest number of ``count`` datagrams that the capture can have missed."""
@@ -205,11 +196,8 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
             size: number of datagrams of each run.
         """
         sizes = {"identifications": inf, "ci_counts": size, "sequence_counts": size}
-        each = ((kind, who, sizes.get(kind, 1), both) for (who, kind), both in self.sums.items())
-        items = (
-            Evidence(kind, who, *(int(number / one) for number in both)) for kind, who, one, both in each
-        )
-        return Quality(tuple(items))
+        each = ((kind, who, sizes.get(kind, 1), *both) for (who, kind), both in self.sums.items())
+        return Quality(tuple(Evidence(kind, who, int(k / of), int(m / of)) for kind, who, of, k, m in each))
 
     @property
     def longest_run(self) -> int:

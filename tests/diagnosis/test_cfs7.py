@@ -275,8 +275,8 @@ def test_what_a_peer_that_had_been_given_up_lacks_was_not_lost_on_the_network():
     """The part begins when the peer is silent already, and ends before three of its datagrams are there."""
     part = examined_from("sbn_peer", 6.36, 24.9)
     assert not found(part, "lost_after_cfs")
-    (gap,) = found(part, "unexplained_gap")
-    assert any("to tell whether it was connected" in line for line in gap.evidence)
+    # A few runs of missing frames explain all of them.
+    assert (part.lost, part.unaccounted, part.uncertain) == (0, 0, 22)
 
 
 def test_a_peer_whose_first_datagram_of_a_part_is_no_greeting_was_there_before():

@@ -827,8 +827,7 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
     streamed = case.rows.streamed
     gaps: dict[Stream, list[tuple[Loss, int]]] = {}
     for loss in telemetry.losses:
-        number = _not_proven(loss)
-        if number and loss.stream is not None and not streamed[loss.stream.rows[0]]:
+        if (number := _not_proven(loss)) and loss.stream is not None and not streamed[loss.stream.rows[0]]:
             gaps.setdefault(loss.stream, []).append((loss, number))
     # Of those whose loss was counted, some may be others, because the capture missed these.
     lost = Counter[Hashable]()
@@ -841,9 +840,9 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
     unexplained = {
         item: [many * (loss.kind in _UNEXPLAINED) for loss, many in own] for item, own in gaps.items()
     }
-    parts = dict([*_missed(case, unexplained), *_missed(case, every)])
+    by_capture = dict([*_missed(case, unexplained), *_missed(case, every)])
     _take_back_in_holes(case, telemetry)
-    for stream, shares in parts.items():
+    for stream, shares in by_capture.items():
         for (loss, number), share in zip(gaps[stream], shares, strict=True):
             _take_back(telemetry, loss, min(number, share + spare, _not_proven(loss)))
             spare -= min(spare, number - share)

@@ -109,7 +109,7 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
     stops = [(span.start_lo, span.end_hi) for span in case.timeline.every(*NOT_RUNNING)]
     late &= ~inverted & ~case.overlaps_outage(sent_ns, when) & ~overlapping(sent_ns, when, stops)
     others = not robot and 2 * late.sum() > (sent_ns >= 0).sum()
-    if others or case.quality.missing > _LACKING * case.quality.checked:
+    if others or case.quality.best[1] > _LACKING * case.quality.best[0]:
         late[:] = False  # other messages had the same values, or the queue before them was not captured
     odd = (sent_ns < 0) & (when > case.start_ns + _rounds(case, hops[0])) & ~_older(sent_ns, when)
     last_ns = _sent_before(rows, [hop.into for hop in hops], out, robot=robot)

@@ -935,7 +935,7 @@ class BeforeCi:
         fates = [fate for fate in self._to(account) if fate.seen]
         outs = {hop.out: hop.out for fate in fates for hop in fate.hops}.values()
         all_out = all(out.link.last_hop for out in outs)
-        if not account.not_captured or not all_out or self._case.quality.missing:
+        if not account.not_captured or not all_out or self._case.quality.best[1]:
             return  # datagrams that CI counted beyond these may be those that the capture missed
         until_ns = account.last_ns - _HELD_NS  # its last count has all that came out by then
         came_out = sum(int((out.time_ns <= until_ns).sum()) for out in outs)

@@ -66,7 +66,7 @@ class Instance(NamedTuple):
 
     def boot_ns(self, profile: SimProfile) -> int:
         """Return the capture time of its boot, ns; the profile has the mission time at a boot."""
-        return self.offset_ns + profile.boot_time_s * SECOND
+        return self.offset_ns + (profile.boot_met_s + profile.epoch_offset_s) * SECOND
 
 
 class Instances:
@@ -421,8 +421,7 @@ def _conflict(rows: Rows, members: Places) -> bool:
 
     Only packets of one length are compared, because cut frames leave parts of different length.
     """
-    own = members[np.isin(rows.known_id[members], _HOUSEKEEPING)]
-    for _, packets in groups(rows.known_id, own):
+    for _, packets in groups(rows.known_id, members[np.isin(rows.known_id[members], _HOUSEKEEPING)]):
         _, content = numbered(rows.sequence_count[packets], rows.packet_length[packets])
         different, _ = numbered(content, rows.packet_print[packets])
         counts = np.bincount(content[different])

@@ -381,16 +381,13 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
     unsure = [(item, number) for item, number in both if number]
     if not unsure:
         return
-    quality, most = case.quality, 100 * case.quality.upper_share()
+    (checked, lacking), most = case.quality.best, 100 * case.quality.upper_share()
     total, streams = sum(number for _, number in unsure), [stream for stream, _ in unsure]
-    if quality.checked:
-        basis = f"{quality.checked:,} datagrams were checked that surely passed: {quality.missing:,} lack"
-    else:
-        basis = "nothing here tells what the capture missed"
+    basis = f"{checked:,} datagrams were checked that surely passed: {lacking:,} lack"
     yield warning(
         f"{plural(total, 'message')} may be lost, or the capture missed "
         f"{'it' if total == 1 else 'them'}: it may lack up to {min(most, 99):.2g} % of what passed",
-        basis,
+        basis if checked else "nothing here tells what the capture missed",
         *(
             f"nothing at all was captured from {case.at(start_ns)} to {case.at(end_ns)}"
             for start_ns, end_ns in case.possible_holes

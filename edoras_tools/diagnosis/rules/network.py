@@ -573,8 +573,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
             f", the first of {len(members):,} datagrams" * (len(members) > 1),
         )
         if not lines and 2 * (came | ~followed).sum() > len(messages):  # what is not followed may come out
-            unseen = int((~came).sum())
-            refused = replace(refused, severity=Severity.WARNING, of=unseen or None, perhaps=unseen)
+            refused = replace(refused, severity=Severity.WARNING, perhaps=int((~came).sum()))
         elif len(messages):  # subscriptions are no messages
             refused = replace(refused, lost=len(messages), of=len(messages))
         carried = {*rows.msg_id[messages].tolist()} - {NO_MSG_ID}

@@ -247,7 +247,7 @@ def _silent(case: Case) -> Iterator[Verdict]:
                 failed,
                 order.witness if order else "",
                 place=("to", telemetry_output.SOCKET),
-                lost=number if failed and len(spans) == 1 and not case.quality.missing else None,
+                lost=number if failed and len(spans) == 1 and not case.quality.best[1] else None,
                 span=(start_ns, end_ns),
                 remedy="look at the address that it was enabled for; after an error of its socket Telemetry "
                 f"Output drops what comes until it is enabled again: {case.inject(ENABLE_OUTPUT)}",

@@ -354,7 +354,7 @@ class SendReport(msgspec.Struct):
         if most is None:
             return reasons
         ingest = self.responses.ingest
-        if not (ingest.is_known and ingest.is_counted if self.to_ci else self.responses.ingest_counted):
+        if not (ingest.is_known and ingest.is_counted if self.to_ci else self.responses.counters is not None):
             reasons.append(
                 "--max-loss: what was lost is not known: no counter came; see --wait-for to-enabled"
             )

@@ -228,11 +228,6 @@ class Responses:
         return sum(count for (link, _), count in self.counts.items() if link.only_from_cfs)
 
     @property
-    def ingest_counted(self) -> bool:
-        """Whether the software bus has reported its counters."""
-        return self.counters is not None
-
-    @property
     def lost(self) -> int:
         """Messages that the software bus lost while sending, by its own counters."""
         return sum(row["gained"] for name, row in self._counters().items() if name in LOSSES)
