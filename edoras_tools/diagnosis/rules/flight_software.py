@@ -149,9 +149,7 @@ def _silences(case: Case, stream: Stream) -> Iterator[Silence]:
         rate = _rate(stream, times, before, at)
         length = until_ns - start_ns if until_ns else int(steps[at])
         own = times[before[-1].first : at + 1]
-        # What came irregularly is silent for longer than ever before; housekeeping may be.
-        usual = stream.is_housekeeping or len(own) < _LEAST
-        if rate is None and (usual or length <= max(_LONG_NS, _IRREGULAR * int(np.diff(own).max()))):
+        if rate is None and not _silent_unusually_long(stream, own, length):
             continue
         if rate is None and np.diff(own).max() < _ALIKE * np.diff(own).min():
             rate = Rate(SECOND / float(np.diff(own).mean()), int(own[0]), int(own[-1]))
@@ -246,6 +244,12 @@ def _rate(stream: Stream, times: Integers, before: Sequence[Span], at: int) -> R
         if hz and (span is before[-1] or hz < _ALIKE * now_hz < _ALIKE**2 * hz):
             return Rate(hz, int(times[span.first]), int(times[last]))
     return None
+
+
+def _silent_unusually_long(stream: Stream, before: Integers, length: int) -> bool:
+    """Tell whether what came irregularly is silent for longer than ever before; housekeeping may be."""
+    enough = not stream.is_housekeeping and len(before) >= _LEAST
+    return enough and length > max(_LONG_NS, _IRREGULAR * int(np.diff(before).max()))
 
 
 def _explained(case: Case, silence: Silence) -> bool:

@@ -132,8 +132,8 @@ class SoftwareChanges(msgspec.Struct, dict=True):
 
     def _added(self, command: CommandRecord) -> int | None:
         """Return the limit of an added entry by an event; None without one."""
-        found = (telemetry_output.ADDED.pattern.fullmatch(item.message) for item in self._answers(command))
-        return next((int(it["limit"]) for it in found if it and int(it["msg_id"], 16) == command.entry), None)
+        texts = (telemetry_output.ADDED.pattern.fullmatch(item.message) for item in self._answers(command))
+        return next((int(it["limit"]) for it in texts if it and int(it["msg_id"], 16) == command.entry), None)
 
     def _executive(self, command: CommandRecord, pattern: Change) -> Iterator[Change]:
         state = _APP_STATES.get(command.function_code)
