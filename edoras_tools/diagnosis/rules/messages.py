@@ -205,7 +205,7 @@ def _unwanted(
     lost, wake_ns = sum(item.lost for item in case.ingests), case.profile.ci_wake_ns
     crowded = more_at_once(times[arriving], wake_ns, case.profile.ci_datagrams_per_wake)
     lag_ns = DRAINS_NS if crowded else _COUNTED_NS  # what waits in CI's socket is counted late
-    missed = case.quality.may_have_missed(len(inside)) if case.quality.missing else 0
+    missed = case.quality.may_have_missed(len(inside)) if case.quality.best[1] else 0
 
     def may_be(sent: Places, more: int = 0, unseen: int = 0) -> bool:
         return _may_be(times[sent], seen_ns, counts, lag_ns, lost + more, unseen)
