@@ -372,12 +372,12 @@ def settle_possible(
                     span = counts[table.instance].times[second : second + 2].tolist()
                     unseen = table.unseen(second, rivals, span)
                     flows = table.sharers(second, takers, unseen)
-                    if has_rest and (flows or (takers and rank >= Rank.UNNAMED)):
+                    if has_rest and (flows or rank >= Rank.UNNAMED):
                         settle_rest(counts, claims)
                         has_rest = False
                     table.give_surplus(second, takers, unseen)
-                    number = table.give(second, takers, reserve=bool(flows))
-                    if flows and number:
+                    number = table.give(second, takers, reserve=bool(flows)) * bool(flows)
+                    if number:
                         key = table.instance, table.kind, flows
                         shared.setdefault(key, Shared(*key, 0, *span)).add(number, flows, span)
             # What the likelier counter of one traffic may hold is not left to another's second choice.
