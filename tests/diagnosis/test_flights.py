@@ -738,6 +738,14 @@ def test_what_cut_frames_do_not_show_to_come_out_is_not_told_to_be_refused(tmp_p
     assert found.lost + found.unaccounted == lost
 
 
+@pytest.mark.parametrize("length", [54, 60, 66])
+def test_an_address_and_a_limit_that_frames_cut_off_are_not_told(tmp_path, length):
+    items = mutations.frames(FOLDER / "limits_changed_in_overload.pcap.zst")
+    items = [item._replace(data=item.data[:length]) for item in items]
+    text = str(truth.examined(mutations.write(tmp_path / "flight.pcap", items)).verdicts)
+    assert not [phrase for phrase in ("for \"''\"", "for ''", "None a round") if phrase in text]
+
+
 def test_with_wrong_times_a_count_alone_names_no_msg_id_without_a_subscriber(tmp_path):
     """The rounds of an application do not show: what it makes of them may be what nobody takes."""
     items = mutations.frames(FOLDER / "peer_wants_nothing.pcap.zst")

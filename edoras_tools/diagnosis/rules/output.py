@@ -50,17 +50,21 @@ def to_not_enabled(case: Case) -> Iterator[Verdict]:
     reason = "Telemetry Output sends nothing here, and no command in the capture enables it"
     if enables:
         reason = (
-            f"Telemetry Output was enabled for {enables[-1].address!r} and nothing of it is seen here: the "
+            f"Telemetry Output was enabled for {_address(enables[-1])} and nothing of it is seen here: the "
             "command did not arrive, it sends elsewhere, its datagrams do not pass here, or it does not run"
         )
     yield _warning(
         reason,
         f"{plural(len(commands), 'command')} to CI, no datagram from Telemetry Output",
-        *(f"enabled for {item.address!r} at {case.at(item.time_ns)}" for item in enables),
+        *(f"enabled for {_address(item)} at {case.at(item.time_ns)}" for item in enables),
         remedy="to see telemetry, capture on the host that it is enabled for, UDP port 1235; look for "
         f"TO_LAB_APP's first event on cFS's console; or enable it: {case.inject(ENABLE_OUTPUT)}",
         confidence="medium",
     )
+
+
+def _address(enable: CommandRecord) -> str:
+    return repr(enable.address) if "address" in enable.values else "an address that the capture cut off"
 
 
 def to_destination(case: Case) -> Iterator[Verdict]:
@@ -78,6 +82,7 @@ def to_destination(case: Case) -> Iterator[Verdict]:
 def _enables(case: Case) -> list[list[CommandRecord]]:
     """Return the commands that enable Telemetry Output and went to a CI; those to one endpoint together."""
     own = (item for item in case.payloads.outputs(telemetry_output.ENABLE) if case.rows.link[item.row] == CI)
+    own = (item for item in own if "address" in item.values)  # else the capture cut it off
     return list(by_key(own, lambda item: int(case.rows.destination[item.row])).values())
 
 
@@ -193,8 +198,8 @@ def _added_again(case: Case, item: CommandRecord) -> str:
     system = case.instances.system_at(int(case.rows.destination[item.row]), item.time_ns)
     for change in case.timeline.of(StateOwner("entry", "", item.entry), system):
         if change.state == "subscribed" and change.not_before_ns > item.time_ns:
-            again_ns = change.not_before_ns
-            return f", and to send it again, at most {change.value} a round, at {case.at(again_ns)}"
+            limit = f", at most {change.value} a round," if change.value is not None else ""
+            return f", and to send it again{limit} at {case.at(change.not_before_ns)}"
     return ""
 
 
