@@ -190,12 +190,12 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
     def of_runs(self, size: float) -> Quality:
         """Return the bounds for runs of missing datagrams: a run has no neighbours whose numbers show it.
 
-        Counters check whole spans of time: a run takes as many of these datagrams as it takes others.
+        Telemetry comes in rounds: a run takes as many of what sequence counts check as it takes others.
 
         Args:
             size: number of datagrams of each run.
         """
-        sizes = {"identifications": inf, "ci_counts": size, "sequence_counts": size}
+        sizes = {"identifications": inf, "sequence_counts": size}
         each = ((kind, who, sizes.get(kind, 1), *both) for (who, kind), both in self.sums.items())
         return Quality(tuple(Evidence(kind, who, int(k / of), int(m / of)) for kind, who, of, k, m in each))
 
