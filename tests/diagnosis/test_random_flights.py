@@ -291,10 +291,10 @@ def test_full_pipes_explain_what_only_they_count():
     commands = tuple((at, *set_, generator.set_command(0x827, hertz)) for at, hertz in ((8, 300), (18, 0)))
     simulation, sent = fly(Flight("rover", profile, 20.0, 0.0, 24, 6, commands))
     found, ends = lost_by(examined(sent)), simulation.cfs.account.losses()
-    assert set(found) == {"limit", "overflow", "unknown"}
-    full = sum(number for (_, _, end), number in ends.items() if end is QueueEnd.PIPE_OVERFLOW)
-    # A gap is one of either count where both grow, and what else is counted may be of what nobody sees.
-    assert found["overflow"] + found["unknown"] == full
+    lost = {"limit": QueueEnd.MSG_LIMIT, "overflow": QueueEnd.PIPE_OVERFLOW}
+    assert found == {
+        kind: sum(number for (*_, end), number in ends.items() if end is way) for kind, way in lost.items()
+    }
     assert found["overflow"] > 100
 
 

@@ -737,8 +737,8 @@ def _never_sent(fate: Fate) -> Mask:
 
     It publishes once for all receivers of a MsgId: one that gets all shows what others miss.
     """
-    never = np.zeros(len(fate.stream), bool)
-    for hop in fate.hops if len({hop.out.msg_id for hop in fate.hops}) == 1 < len(fate.hops) else ():
+    never, msg_ids = np.zeros(len(fate.stream), bool), {hop.out.msg_id for hop in fate.hops}
+    for hop in fate.hops if len(msg_ids) == 1 < len({hop.out.link for hop in fate.hops}) else ():
         if hop.rewritten and hop.out.counted:
             into, out = _in_order(hop)
             sent = np.concatenate(([0], np.cumsum(hop.out.missing[:-1] + 1)))[out]

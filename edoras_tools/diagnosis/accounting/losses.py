@@ -137,10 +137,10 @@ class Loss(msgspec.Struct):
 READY_NS: Final = 5 * SECOND
 """Longest time from the start of an application until it processes messages."""
 WAITS_NS: Final = SECOND
+"""A message sent this shortly before the end may still come out."""
 _NEARLY_ALL: Final = 0.9
 _WOKEN_NS: Final = SECOND // 10
 """No scheduler wakes an application as often as this."""
-"""A message sent this shortly before the end may still come out."""
 _LAST: Final = 5
 """Number of messages at the end that show the present delay."""
 _BURST_NS: Final = 50 * MILLISECOND
