@@ -746,6 +746,15 @@ def test_an_address_and_a_limit_that_frames_cut_off_are_not_told(tmp_path, lengt
     assert not [phrase for phrase in ("for \"''\"", "for ''", "None a round") if phrase in text]
 
 
+def test_what_several_lost_at_a_full_pipe_is_told_once():
+    """The verdicts name 301 and 16 of two MsgIds, and not the 16 again as of an unknown one."""
+    found = examined("events_lost_in_a_full_pipe")
+    at_pipe = [item for item in found.verdicts if item.hop == "TO_LAB_TLM_PIPE"]
+    row = sum(sum(item.lost.values()) for item in found.balance if item.hop == "TO_LAB_TLM_PIPE")
+    assert sum(item.lost or 0 for item in at_pipe) == row
+    assert not [item for item in at_pipe if "unknown" in item.reason]
+
+
 def test_with_wrong_times_a_count_alone_names_no_msg_id_without_a_subscriber(tmp_path):
     """The rounds of an application do not show: what it makes of them may be what nobody takes."""
     items = mutations.frames(FOLDER / "peer_wants_nothing.pcap.zst")

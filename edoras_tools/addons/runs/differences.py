@@ -660,7 +660,8 @@ def _routes(run: RunSummary) -> dict[Key, dict[str, Any]]:
 
 def _lasting(run: RunSummary, rows: dict[Key, dict[str, Any]]) -> dict[Key, dict[str, Any]]:
     """Return routes with the share of the run for which each lasts, by its count and rate."""
-    seconds = ((run.doctor["end_ns"] or 0) - (run.doctor["start_ns"] or 0)) / SECOND
+    end_ns, start_ns = (run.doctor.get(name) or 0 for name in ("end_ns", "start_ns"))
+    seconds = (end_ns - start_ns) / SECOND
     for row in rows.values():
         row["lasts"] = row["count"] / (row["rate_hz"] * seconds) if row["rate_hz"] and seconds else 1.0
     return rows

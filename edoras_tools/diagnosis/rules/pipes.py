@@ -111,7 +111,7 @@ def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
 
     Name the MsgId that fills the pipe, and what else went down with it.
     """
-    open_ = (item for item in case.losses if item.kind == "overflow" and not item.closed)
+    open_ = (x for x in case.losses if x.kind == "overflow" and not (x.closed or x.rivals))
     full = [item for item in open_ if item.hop == telemetry_output.PIPE]
     # The routes have a verdict each; without any, what lost most.
     routes = [item for item in full if _is_route(item)] or sorted(full, key=lambda item: -item.lost)[:1]
