@@ -197,7 +197,7 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         """
         sizes = {"identifications": inf, "sequence_counts": size}
         each = ((kind, who, sizes.get(kind, 1), *both) for (who, kind), both in self.sums.items())
-        return Quality(tuple(Evidence(kind, who, int(k / of), int(m / of)) for kind, who, of, k, m in each))
+        return Quality(tuple(Evidence(kind, who, ceil(k / of), ceil(m / of)) for kind, who, of, k, m in each))
 
     @property
     def longest_run(self) -> int:

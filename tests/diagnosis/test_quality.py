@@ -161,6 +161,26 @@ def test_a_run_takes_as_many_of_the_datagrams_that_sequence_counts_check():
     assert commands.of_runs(10).excludes(0.1)
 
 
+def test_datagrams_that_the_capture_missed_stay_missed_where_they_are_fewer_than_a_run():
+    quality = Quality((Evidence("sequence_counts", 0, 4000, 3),))
+    assert not quality.excludes(0.1)
+    assert not quality.of_runs(4).excludes(0.1)
+
+
+def test_runs_of_telemetry_that_the_capture_missed_are_no_loss(tmp_path):
+    """Of what a counting sender sent three are missing, less than a run: these are some, not none."""
+    chance = random.Random("refused_and_over_limitst6x15c3")
+    items = mutations.frames(truth.FOLDER / "flights/refused_and_over_limits.pcap.zst")
+    output = [at for at, item in enumerate(items) if mutations.is_to(item.data, 1235)]
+    gone = set(chance.sample([at for at, item in enumerate(items) if mutations.is_to(item.data, 1234)], 3))
+    for _ in range(6):
+        start = chance.randrange(len(output) - 15)
+        gone |= {*output[start : start + 15]}
+    items = [item for at, item in enumerate(items) if at not in gone]
+    found = truth.examined(mutations.write(tmp_path / "x.pcap", items))
+    assert found.lost + found.unaccounted <= 499
+
+
 @pytest.mark.parametrize(("number", "seed"), [(5, 19), (12, 14), (12, 26)])
 def test_runs_that_the_capture_missed_are_no_loss_behind_an_overloaded_pipe(tmp_path, number, seed):
     """What the pipe lost hides the runs in one stream, and the counters check a part of the time only."""
