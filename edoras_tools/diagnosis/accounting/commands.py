@@ -837,11 +837,12 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
     spare = sum(most_missed(case, lost).values())
     # How much full pipes lost says nothing of the few gaps that nothing explains.
     every = {item: [many for _, many in own] for item, own in gaps.items()}
-    unexplained = {
-        item: [many * (loss.kind in _UNEXPLAINED) for loss, many in own] for item, own in gaps.items()
-    }
+    unexplained = {item: [many * (x.kind in _UNEXPLAINED) for x, many in own] for item, own in gaps.items()}
     by_capture = dict([*_missed(case, unexplained), *_missed(case, every)])
     _take_back_in_holes(case, telemetry)
+    # In holes nothing was checked: what they took makes no share of missing frames too large.
+    rest = {item: [_not_proven(loss) for loss, _ in own] for item, own in gaps.items()}
+    by_capture = dict(_missed(case, rest)) | by_capture
     for stream, shares in by_capture.items():
         for (loss, number), share in zip(gaps[stream], shares, strict=True):
             _take_back(telemetry, loss, min(number, share + spare, _not_proven(loss)))
