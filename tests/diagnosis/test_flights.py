@@ -2156,3 +2156,10 @@ def test_what_is_counted_of_an_overload_that_no_event_names_is_of_the_one_stream
     lost = {(row.msg_id, row.hop): row.lost for row in found.balance if row.all_lost}
     assert lost == {(0x1827, "CI"): {"network": 7}, (0x1827, "software bus"): {"limit": 14}}
     assert found.lost + found.unaccounted <= 111 <= found.lost + found.unaccounted + found.uncertain
+
+
+@pytest.mark.parametrize(("name", "lost"), [("route_disabled", 48), ("three_operators", 173)])
+def test_what_a_route_loses_that_is_disabled_is_lost_also_where_nothing_names_its_cfs(tmp_path, name, lost):
+    items = mutations.without_telemetry(0x808)(mutations.frames(FOLDER / f"{name}.pcap.zst"), None)
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert (found.lost + found.unaccounted, found.uncertain) == (lost, 0)

@@ -655,7 +655,7 @@ class Stops:
                 way = Way(each.out.msg_id, each.out.link, system, peer=peer(each.out.receiver, ""))
                 ways.append((way, self._untaken(fate, each, _newest(fate, each, case.profile.sbn_wake_ns))))
         times, gap = stream.time_ns, np.cumsum(fate.arrived)
-        others = {item.name for item in case.instances.items}
+        others = {item.name for item in case.instances.items} - {""}
         closed = [
             (_CLOSED[span.change.subject.kind], span, newest, way.peer in others)
             for way, newest in ways
