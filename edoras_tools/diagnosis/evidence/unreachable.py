@@ -55,6 +55,8 @@ _REGULAR: Final = 2
 """A port sends regularly if it sent ``_VOICES`` datagrams, and paused for at most this many usual steps."""
 _SILENT: Final = 2.2
 """A robot is silent if it sends nothing for so many usual steps: more than one that the capture missed."""
+_OFTEN: Final = 3
+"""A robot that pauses for as long more often than this is not off."""
 _SELDOM: Final = 0.2
 """A robot whose steps are so long more often sends irregularly."""
 
@@ -159,8 +161,11 @@ class Unreachable:
             if port < 0 or len(heard) <= _VOICES:
                 continue
             usual, ends_ns = int(np.median(np.diff(heard))), np.append(heard[1:], NEVER)
+            steps = np.minimum(ends_ns, rows.time_ns[-1]) - heard
             least_ns = max(_SILENT * usual, _PATIENCE_NS)
-            long = np.flatnonzero(np.minimum(ends_ns, rows.time_ns[-1]) - heard > least_ns)
+            if (steps > least_ns).sum() > _OFTEN:  # such a pause is usual, too
+                least_ns = max(least_ns, _SILENT * np.median(steps[steps > least_ns]))
+            long = np.flatnonzero(steps > least_ns)
             for at in long.tolist() if len(long) < _SELDOM * len(heard) else ():
                 start_ns, end_ns = int(heard[at]), int(ends_ns[at])
                 inside = own[(sent > start_ns) & (sent <= end_ns)]
