@@ -787,6 +787,47 @@ def test_a_peer_that_cfs_refuses_is_refused_whatever_a_mission_names():
     assert by_cause(found) == by_cause(examined("bridge_of_wrong_ids"))
 
 
+def test_what_may_not_have_been_read_by_a_robot_that_fell_silent_is_said_once():
+    (named,) = [item for item in examined("robot_off_without_errors").verdicts if item.rule == "port_closed"]
+    assert "54 messages may have reached nobody" in named.reason
+    assert not [line for line in named.evidence if "54" in line]
+
+
+def test_a_peer_that_times_out_while_it_sends_to_another_port_stood_not_still(tmp_path):
+    items = mutations.frames(FOLDER / "sent_to_the_wrong_link.pcap.zst")
+    for at, item in enumerate(items):
+        strays = 11.9 * SECOND < item.time_ns - items[0].time_ns < 23.1 * SECOND
+        if strays and mutations.is_to(item.data, 2234):
+            place = mutations.PORT
+            data = item.data[:place] + (1234).to_bytes(2, "big") + item.data[place + 2 :]
+            items[at] = item._replace(data=data)
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    (named,) = [item for item in found.verdicts if item.rule == "sbn_timeout"]
+    assert "It sent to other ports meanwhile" in named.reason
+    assert "the port to which it sends" in named.remedy
+    assert not [line for line in named.evidence if "answered" in line]
+
+
+@pytest.mark.parametrize("begin", [0, 9.1])
+def test_a_peer_that_cfs_refuses_until_its_table_names_it_is_refused_till_then(tmp_path, begin):
+    """75 poses of the bridge are refused from 9.2 s on, 50 behind them come out."""
+    items, chosen = mutations.frames(FOLDER / "bridge_of_wrong_ids.pcap.zst"), []
+    nine, three = (number.to_bytes(4, "big") for number in (9, 3))
+    for item in items:
+        seconds, data = (item.time_ns - items[0].time_ns) / SECOND, item.data
+        from_bridge = mutations.is_to(data, 2234)
+        if seconds > 34 or (seconds < begin and (mutations.is_to(data, 2236) or from_bridge)):
+            continue
+        if from_bridge and data[45:49] == nine:
+            data = data[:45] + three + data[49:]
+        data = data.replace(b"peer 66:9", b"peer 66:3").replace(b"ProcessorID=9", b"ProcessorID=3")
+        chosen.append(item._replace(data=data))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", chosen))
+    assert 0 < by_cause(found)["unknown_peer"] <= 75
+    (named,) = [item for item in found.verdicts if item.rule == "unknown_peer"]
+    assert "is not the peer" not in named.reason
+
+
 @pytest.mark.parametrize(
     ("name", "most", "number"),
     [("bridge_of_wrong_ids", 54, 140), ("bridge_of_wrong_ids", 96, 140), ("peer_of_an_older_sbn", 112, 90)],

@@ -131,8 +131,7 @@ def bad_command(case: Case) -> Iterator[Verdict]:
             kind = _MISMATCH  # CI of cFS 7 looks at this first, and nobody else gets it
         by_route = kind.finding is Finding.UNKNOWN_FUNCTION_CODE and rows.route[row] != NO_ROUTE
         (by_mission if by_route else by_kind).setdefault((kind, msg_id), []).append(row)
-    judged = {row for members in by_kind.values() for row in members}
-    for row, kind in _refused(case, judged):
+    for row, kind in _refused(case, {row for members in by_kind.values() for row in members}):
         by_kind.setdefault((kind, int(rows.msg_id[row])), []).append(row)
     # Where an application says which it refused, that is what it got.
     by_kind = by_mission | by_kind
@@ -315,9 +314,8 @@ def identity_from_two_addresses(case: Case) -> Iterator[Verdict]:
         if len(first) < 2:
             continue
         order = [addresses[host] for host in hosts[rows.source[members[first]]].tolist()]
-        counts = np.bincount(address).tolist()
         times = [case.at(when) for when in rows.time_ns[members[first]].tolist()]
-        each = list(zip(order, counts, times, strict=True))[:_MOST]
+        each = list(zip(order, np.bincount(address).tolist(), times, strict=True))[:_MOST]
         why = [f"{name}: {plural(count, 'datagram')}, the first at {when}" for name, count, when in each]
         reason = f"SBN peer {peer_of(who)} has {len(order)} addresses, and cFS hears all: {', '.join(order)}"
         remedy = "give each peer its own processor_id; if there is only one, somebody else uses its name"

@@ -130,9 +130,8 @@ def old_states(case: Case) -> Iterator[Verdict]:
 
     Tell how old the states of the robot become, and both rates.
     """
-    rounds_ns = _APP_NS + case.profile.to_wake_ns + _SLACK_NS
     for item in case.passed_states:
-        old = item.age_ns > rounds_ns
+        old = item.age_ns > _APP_NS + case.profile.to_wake_ns + _SLACK_NS
         if old.sum() < _LEAST:
             continue
         ways = item.sent_ns, item.time_ns
@@ -537,7 +536,7 @@ def port_closed(case: Case) -> Iterator[Verdict]:
         reason = f"nobody listened on {span.port} {when}"
         reason += f": {plural(number, 'message')} reached nobody" if number else ""
         if not span.errors:
-            witness = "no ICMP error: the capture leaves them out, or the host is off"
+            witness, unread = "no ICMP error says so: the capture leaves them out, or the host is off", ""
             reason = f"perhaps {reason}: {plural(uncertain, 'message')} may have reached nobody"
         if span.step_ns:
             reason += f"; its own datagrams, {SECOND / span.step_ns:.1f} a second, stopped too"

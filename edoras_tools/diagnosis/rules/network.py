@@ -100,12 +100,14 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
     early = 0 if silent.stood_still else len(sent) - len(lost_ns)
     speaks_ns = silent.start_ns + connection.seldom_ns
     quiet = int((lost_ns <= speaks_ns).sum())
-    ends = facts.TIMED_OUT.phrase, facts.DISCONNECTED.phrase
     away_s = (until - silent.start_ns) / SECOND
     returned = f"back after {away_s:.1f} s" if until < case.end_ns else "not back in this capture"
     why = "It was killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent"
     remedy = "restart the peer: its first SUB or PROTO connects it"
-    if silent.stood_still:
+    if connection.runs(silent.start_ns, until):
+        why = "It sent to other ports meanwhile: it was cut off on this way alone, or sends to a wrong port"
+        remedy = "look at the port to which it sends, and at the network"
+    elif silent.stood_still:
         why = "It was not started anew: it stood still, or was cut off, and may read late what it was sent"
         remedy = "look at the load of its host, at who may stop its process, and at the network"
     elif elsewhere := case.network.speaks_from(case.rows, connection.peer, silent.start_ns, until):
@@ -120,7 +122,8 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         f"{connection.observer} sent it {plural(len(sent), 'message')} after that",
         f"the last of them at {case.at(last_ns)}: then it had given the peer up" if last_ns else "",
         f"it may have heard the first {early:,}, until {case.at(int(sent[early - 1]))}" if early else "",
-        f"it answered {silent.answers:,} of them when it was back" * silent.stood_still,
+        f"it answered {silent.answers:,} of them when it was back"
+        * (silent.stood_still and silent.answers > 0),
         f"{quiet:,} of {'the others' if early else 'them'} until {case.at(speaks_ns)}, when a heartbeat was "
         "due: if it fell quiet before it ended, it heard some"
         if quiet
@@ -128,7 +131,8 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         *(
             f"event at {case.at(record.time_ns)}: {record}"
             for record in case.events_between(silent.start_ns, until + SECOND, facts.NAME)
-            if connection.peer in record.message and _has(record, ends)
+            if connection.peer in record.message
+            and _has(record, (facts.TIMED_OUT.phrase, facts.DISCONNECTED.phrase))
         ),
         place=("sbn", f"SBN peer {connection.peer}"),
         lost=len(lost_ns) or None,
@@ -514,8 +518,12 @@ def _unknown(message: str) -> list[int]:
     return next(([*map(int, match.groups())] for match in matches if match), [])
 
 
-def _foreign(case: Case) -> Mask:
-    """Return which SBN datagrams are of a peer that an event of the receiver refuses, or of two names."""
+def _foreign(case: Case, came_out: Places) -> Mask:
+    """Return which SBN datagrams are of a peer that an event of the receiver refuses, or of two names.
+
+    Args:
+        came_out: rows whose message came out of cFS again.
+    """
     rows = case.rows
     listed = np.isin(rows.sbn_msg_type, (sbn.MsgType.SUB, sbn.MsgType.UNSUB))
     foreign = (rows.link == SBN) & rows.has(Finding.SBN_ID_MISMATCH) & ~listed
@@ -539,9 +547,11 @@ def _foreign(case: Case) -> Mask:
             same &= ~np.isin(rows.source[near], ends_of.get(int(owner[record.row]), ()))
             if craft or not foreign[near[same]].any():
                 foreign[near[same]] = True
-    # What it refuses once it refuses always; a mission may name a peer that its table does not.
+    # What it refuses once it refuses always, unless some comes out: then its table was changed. A mission may
+    # name a peer that its table does not. A few may only seem to come out.
     _, who = numbered(rows.source[network], rows.sbn_sender(network))
-    foreign[network] |= np.isin(who, who[foreign[network]]) & ~listed[network]
+    seldom = 10 * np.bincount(who, np.isin(network, came_out)) < np.bincount(who)
+    foreign[network] |= np.isin(who, who[foreign[network]]) & seldom[who] & ~listed[network]
     return foreign & ~rows.has(Finding.SBN_LEGACY_HEADER)
 
 
@@ -550,10 +560,10 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
 
     Name every such sender: by cFS's own words, or by an endpoint that has another name.
     """
-    rows, foreign = case.rows, _foreign(case)
+    rows = case.rows
     came_out = np.concatenate([np.zeros(0, np.intp), *(hop.into.rows[hop.in_rows] for hop in case.hops)])
     msg_ids = [hop.into.msg_id for hop in case.hops]
-    for who, members in groups(rows.sbn_sender(), np.flatnonzero(foreign)):
+    for who, members in groups(rows.sbn_sender(), np.flatnonzero(_foreign(case, came_out))):
         peer, start_ns = peer_of(who), case.span(members)[0]
         lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
         messages = members[rows.sbn_msg_type[members] == sbn.MsgType.APP]
@@ -561,11 +571,12 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         usual = case.network.identity_of.get(int(rows.source[members[0]]))
         if 2 * came.sum() > len(messages) or (not lines and usual == str(peer)):
             continue  # most there are its own: one that spoke before it is the other
+        known = f", which is not the peer known at {case.endpoints[rows.source[members[0]]]}"
+        known *= usual != str(peer)
         refused = _refused(
             case,
             members,
-            f"SBN messages of {peer}, which is not the peer known at "
-            f"{case.endpoints[rows.source[members[0]]]}: "
+            f"SBN messages of {peer}{known}: "
             + ("cFS refuses them" if lines else "a cFS whose table does not name it refuses them"),
             "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
             + _CRASH * bool(rows.streamed[members].any()),
@@ -575,7 +586,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         if not lines and 2 * (came | ~followed).sum() > len(messages):  # what is not followed may come out
             refused = replace(refused, severity=Severity.WARNING, perhaps=int((~came).sum()))
         elif len(messages):  # subscriptions are no messages
-            refused = replace(refused, lost=len(messages), of=len(messages))
+            refused = replace(refused, lost=int((~came).sum()), of=len(messages))
         carried = {*rows.msg_id[messages].tolist()} - {NO_MSG_ID}
         yield replace(refused, msg_id=carried.pop()) if len(carried) == 1 else refused
 

@@ -305,8 +305,7 @@ def to_taken_over(case: Case) -> Iterator[Verdict]:
     """
     rows = case.rows
     for members in _enables(case):
-        enables = [item for item in members if is_address(item.address)]
-        for before, after in pairwise(enables):
+        for before, after in pairwise(item for item in members if is_address(item.address)):
             old, new = (case.endpoints[rows.source[item.row]].address for item in (before, after))
             if before.address == after.address or old == new:
                 continue
