@@ -299,3 +299,11 @@ def test_no_silence_of_a_robot_is_told_where_its_host_sends_errors_or_nothing_is
     sent = every(200, 100)
     assert not silent_in([item for item in sent if not 7100 < item[0] // MS < 11_900], voices).spans
     assert all(span.errors for span in silent_in(sent, voices, [about(sent[2])]).spans)
+
+
+def test_a_robot_that_pauses_often_is_not_off():
+    """It sends nine times at 5 Hz, then nothing for 3 s, ten times; only 20 s are a silence."""
+    begins = [at * 4600 for at in range(10)]
+    voices = [begin + at * 200 for begin in [*begins, 66_000] for at in range(9)]
+    (span,) = silent_in(every(700, 100), voices).spans
+    assert span.end_ns == 66 * SECOND
