@@ -39,10 +39,10 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(56_017, 150, 58_000),
-    "lines with code, all": Limit(89_009, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(55_948, 150, 58_000),
+    "lines with code, all": Limit(88_955, 150, 84_000),  # with what is still to come
     "files": Limit(377, 10, 450),
-    "files below 170 lines, of 1,000": Limit(252, 10, 500),  # a median of 170 lines or more
+    "files below 170 lines, of 1,000": Limit(247, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
     "files that record runs through": Limit(81, 2, 80),
     "files that sniff --where runs through": Limit(81, 2, 80),

@@ -339,8 +339,8 @@ class Connection:
         before = np.maximum(np.searchsorted(self.heard_ns, back_ns) - 1, 0)
         until_ns = back_ns + _STILL_NS + back_ns - int(self.heard_ns[before])
         answers = self._answers[slice(*np.searchsorted(self._answers, (back_ns, until_ns)))]
-        asked = np.searchsorted(self.said_ns, answers, "right") - np.searchsorted(self.said_ns, back_ns)
-        return int((np.arange(1, len(answers) + 1) - asked).max(initial=0))
+        sent = np.searchsorted(self.said_ns, answers, "right") - np.searchsorted(self.said_ns, back_ns)
+        return int((np.arange(1, len(answers) + 1) - sent).max(initial=0))
 
 
 def _silence(last: int, timeout: int) -> list[PeerChange]:

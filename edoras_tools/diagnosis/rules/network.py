@@ -571,12 +571,12 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         usual = case.network.identity_of.get(int(rows.source[members[0]]))
         if 2 * came.sum() > len(messages) or (not lines and usual == str(peer)):
             continue  # most there are its own: one that spoke before it is the other
-        known = f", which is not the peer known at {case.endpoints[rows.source[members[0]]]}"
-        known *= usual != str(peer)
+        usual_place = f", which is not the peer known at {case.endpoints[rows.source[members[0]]]}"
+        usual_place *= usual != str(peer)
         refused = _refused(
             case,
             members,
-            f"SBN messages of {peer}{known}: "
+            f"SBN messages of {peer}{usual_place}: "
             + ("cFS refuses them" if lines else "a cFS whose table does not name it refuses them"),
             "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
             + _CRASH * bool(rows.streamed[members].any()),
