@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, takewhile
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -26,7 +26,7 @@ from edoras_tools.wire.arrays import Integers, Places, by_value, groups
 from edoras_tools.words import either, listed, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.loss_reports import Track
@@ -204,32 +204,45 @@ def _unwanted(
     lost, wake_ns = sum(item.lost for item in case.ingests), case.profile.ci_wake_ns
     crowded = more_at_once(times[arriving], wake_ns, case.profile.ci_datagrams_per_wake)
     lag_ns = DRAINS_NS if crowded else _COUNTED_NS  # what waits in CI's socket is counted late
-    missed = case.quality.may_have_missed(len(inside)) if case.quality.best[1] else 0
 
     def may_be(sent: Places, more: int = 0, unseen: int = 0) -> bool:
         return _may_be(times[sent], seen_ns, counts, lag_ns, lost + more, unseen)
 
-    newest = {item: at[np.diff(times[at] // wake_ns, append=-1) != 0] for item, at in own.items()}
-    # An application may take all of these, and what it makes of the newest of each round be for nobody.
-    seldom = ((item, at) for item, at in _sets(newest) if 10 * len(at) < 9 * sum(len(own[x]) for x in item))
-    blur = int(case.unsteady_ns > 0)  # with wrong times the rounds are others
-    of_rounds = {
-        item
-        for item, at in seldom
-        if may_be(at, max(_FEW, blur * len(at) // 4), missed + blur * len(at) // 4)
-    }
     fits: dict[tuple[int, ...], Places] = {}
     for item, sent in _sets(own):
         if fits and len(item) > len(next(iter(fits))):
             break  # the fewest that fit
-        if may_be(sent, unseen=missed):
+        if may_be(sent):
             fits[item] = sent
-    for sent in filter(may_be, fits.values()) if len({*of_rounds, *fits}) == 1 else ():
+    if not fits:
+        return
+    alike = _alike(case, own, len(next(iter(fits))), may_be)
+    for sent in fits.values() if len(alike) == 1 else ():
         # What the last sample does not have may be on its way, where CI lost nothing.
         until = len(sent) if lost else counts[-1] + int(np.searchsorted(times[sent], seen_ns[0]))
         part = counts[-1] / len(sent) if lost else 1
         for msg_id, members in groups(case.rows.msg_id, sent[:until]):
             yield msg_id, members, round(part * len(members))
+
+
+def _alike(
+    case: Case, own: Mapping[int, Places], most: int, may_be: Callable[[Places, int, int], bool]
+) -> set[tuple[int, ...]]:
+    """Return the sets of at most ``most`` MsgIds that fit a counter if the capture missed some of them.
+
+    An application may take all of a set, and what it makes of the newest of each round be for nobody.
+    """
+    times, wake_ns = case.rows.time_ns, case.profile.ci_wake_ns
+    missed = case.quality.may_have_missed(sum(map(len, own.values()))) if case.quality.best[1] else 0
+    few = takewhile(lambda one: len(one[0]) <= most, _sets(own))
+    alike = {item for item, sent in few if may_be(sent, 0, missed)}
+    newest = {item: at[np.diff(times[at] // wake_ns, append=-1) != 0] for item, at in own.items()}
+    seldom = ((item, at) for item, at in _sets(newest) if 10 * len(at) < 9 * sum(len(own[x]) for x in item))
+    for item, at in seldom:
+        blur = len(at) // 4 * (case.unsteady_ns > 0)  # with wrong times the rounds are others
+        if may_be(at, max(_FEW, blur), missed + blur):
+            alike.add(item)
+    return alike
 
 
 def _sets(of: Mapping[int, Places]) -> Iterator[tuple[tuple[int, ...], Places]]:
