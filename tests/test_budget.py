@@ -39,8 +39,8 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(55_948, 150, 58_000),
-    "lines with code, all": Limit(88_955, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(55_967, 150, 58_000),
+    "lines with code, all": Limit(88_974, 150, 84_000),  # with what is still to come
     "files": Limit(377, 10, 450),
     "files below 170 lines, of 1,000": Limit(247, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),

@@ -206,6 +206,8 @@ def _doubled(
     """
     pairs = copies.find_copies(rows.time_ns, rows.identification, rows.way(), rows.tap, rows.bytes_print)
     pairs = pairs._replace(copy=pairs.copy & ~pairs.steady, duplicate=pairs.duplicate | pairs.steady)
+    if not pairs.duplicate.any():  # mostly so
+        return pairs.copy, pairs.duplicate, pairs.duplicate, *pairs[4:]
     who = copies.who_doubled(rows, pairs, payloads.ingest, sources, endpoints)
     if any(item.doubled for item in proxied.values()):
         # The proxy's log shows repeated datagrams.

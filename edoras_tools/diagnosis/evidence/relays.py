@@ -48,7 +48,7 @@ from edoras_tools.diagnosis.evidence.table import Rows, number_hosts
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import sbn
-from edoras_tools.wire.arrays import MIX, PADDING, by_key, by_value, numbered, of_bytes
+from edoras_tools.wire.arrays import MIX, PADDING, by_key, by_value, distinct, numbered, of_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -211,6 +211,8 @@ def _forwarded(rows: Rows, endpoints: Sequence[Endpoint]) -> set[tuple[int, int]
     near = (key[order][1:] == key[order][:-1]) & (np.diff(rows.time_ns[order]) <= _WITHIN_NS)
     early, late = order[:-1][near], order[1:][near]
     onward = (way[early] != way[late]) & (rows.life[late] < rows.life[early])
+    if not onward.any():  # mostly so
+        return set()
     ways, number = np.unique(np.stack((way[early], way[late]))[:, onward], axis=1, return_counts=True)
     values, sizes = np.unique(way, return_counts=True)
     size = dict(zip(values.tolist(), sizes.tolist(), strict=True))
@@ -378,6 +380,8 @@ def find_relayed(rows: Rows, endpoints: Sequence[Endpoint], unsteady_ns: int = 0
         unsteady_ns: random error of the capture times, ns.
     """
     early_ns, host = max(_CLOCKS_NS, unsteady_ns), number_hosts(endpoints)
+    if len(distinct(host[rows.source])) < 2:  # as on loopback
+        return []
     leaving = by_key((own for _, own in by_value(rows.way())), lambda own: int(host[rows.source[own[0]]]))
     every = [item for own in leaving.values() for item in own] if len(leaving) <= _MOST_HOSTS else []
     relayed = []
