@@ -149,7 +149,7 @@ class Case:
     """One capture with all that follows from it.
 
     Attributes:
-        prepared: the prepared rows: the rows, and counts of the datagrams that it left out.
+        prepared: the rows of the capture as it was recorded, and counts of the datagrams that were left out.
         rows: table with one row for each datagram.
         jumps: steps of clocks that were set during the capture; the times of the rows have none of them.
         instances: boots of cFS that the packets come from.

@@ -361,7 +361,7 @@ def settle_possible(
     settle(counts, gaps, _APART_NS)
     tables = _tables(counts, claims).values()
     shared: dict[tuple[int, PipeKind, frozenset[Hashable]], Shared] = {}
-    others = [claim for claim in claims if claim.rank != Rank.MISSING and not rivals]
+    others = [] if rivals else [claim for claim in claims if claim.rank != Rank.MISSING]
     has_rest = True
     for rank in sorted({claim.rank for claim in claims if claim.rank >= Rank.POSSIBLE}):
         for place in range(len(COUNTERS)):

@@ -841,7 +841,7 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
     by_capture = dict([*_missed(case, unexplained), *_missed(case, every)])
     _take_back_in_holes(case, telemetry)
     # In holes nothing was checked: what they took makes no share of missing frames too large.
-    rest = {item: [_not_proven(loss) for loss, _ in own] for item, own in gaps.items()}
+    rest = {item: [_not_proven(x) for x, _ in own] for item, own in gaps.items() if case.possible_holes}
     by_capture = dict(_missed(case, rest)) | by_capture
     for stream, shares in by_capture.items():
         for (loss, number), share in zip(gaps[stream], shares, strict=True):

@@ -475,8 +475,7 @@ class Leftover:
         self.uncaptured = Counter[int]()
         self._places: dict[tuple[object, ...], Loss] = {}
         self._came: dict[Stream, Integers] = {}
-        still = case.timeline.every("stalled")
-        self._stalls = [span for span in still if span.change.subject.kind == "cfs"]
+        self._stalls = [x for x in case.timeline.every("stalled") if x.change.subject.kind == "cfs"]
         self._beside: frozenset[ReportedLoss] = frozenset()
         self._beside = frozenset(item for item in case.reported_losses if self._at_another(item))
 

@@ -423,9 +423,8 @@ def _conflict(rows: Rows, members: Places) -> bool:
     Only packets of one length are compared, because cut frames leave parts of different length.
     """
     own = members[np.isin(rows.known_id[members], _HOUSEKEEPING)]
-    own = own[
-        rows.sequence_count[own] % (len(own) // _SAMPLE + 1) == 0
-    ]  # of very many some counts say as much
+    every = len(own) // _SAMPLE + 1  # of very many some counts say as much
+    own = own[rows.sequence_count[own] % every == 0]
     for _, packets in groups(rows.known_id, own):
         _, content = numbered(rows.sequence_count[packets], rows.packet_length[packets])
         different, _ = numbered(content, rows.packet_print[packets])

@@ -72,7 +72,8 @@ class ErrorRecorder:
         Of datagrams with equal identification, only the first of the capture is marked.
         """
         error = np.flatnonzero(among(columns.link, lambda link: link.quotes))
-        self._ways = np.union1d(self._ways, conversation_of(quoted_rows(batch, error).datagrams))
+        if len(error):  # mostly there is none
+            self._ways = np.union1d(self._ways, conversation_of(quoted_rows(batch, error).datagrams))
         mask = np.zeros(len(batch), bool)
         rows = np.flatnonzero(columns.link == OTHER) if len(self._ways) else error[:0]
         if len(rows):
@@ -90,6 +91,8 @@ class ErrorRecorder:
         error = among(columns.link, lambda link: link.quotes)
         others = batch.take(~error)
         self._voices.append((others.time_ns, *self._numbers(others)))
+        if not error.any():
+            return
         own, quoted = batch.take(error), quoted_rows(batch, np.flatnonzero(error))
         network = network_headers(own)[0]
         message = of_bytes(own.data, network, own.frame_offset + own.frame_length - network)

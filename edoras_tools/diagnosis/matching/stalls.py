@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.evidence.table import Rows
     from edoras_tools.diagnosis.matching.streams import Stream
+    from edoras_tools.wire.arrays import Integers
 
 _LEAST_NS: Final = SECOND
 _FACTOR: Final = 2
@@ -64,12 +65,9 @@ def stalls(
     whose = instances.system_of_row
     robot = rows.on(lambda link: link.last_hop)
     asleep = [item for item in timeline.every(*NOT_RUNNING) if item.change.subject.name in SCHEDULERS]
+    counted = [item for item in streams if item.counted and item.instance != NOBODY]
     for system in sorted(set(instances.systems)):
-        mine = [
-            item
-            for item in streams
-            if item.instance != NOBODY and instances.systems[item.instance] == system and item.counted
-        ]
+        mine = [item for item in counted if instances.systems[item.instance] == system]
         woken = [item for item in mine if item.is_housekeeping and item.known_id != EVENT_MSG_ID]
         # Datagrams to a robot may come from any of the cFS.
         every = rows.time_ns[(whose == system) | robot]
@@ -77,11 +75,7 @@ def stalls(
         still = [(span.start_lo, span.end_hi) for span in asleep if span.change.system == system]
         subjects = (_CFS, "nothing", every, mine, _LEAST_NS), (_SCHEDULER, _UNWOKEN, due_ns, woken, _WOKEN_NS)
         for subject, absence, times, able, least_ns in subjects:
-            steps = np.diff(times)
-            pauses = steps[steps > SECOND // 20]
-            usual_ns = int(np.quantile(pauses, 0.9)) if len(pauses) else 0
-            for at in np.flatnonzero(steps > max(least_ns, _FACTOR * usual_ns)).tolist():
-                start_ns, end_ns = times[at : at + 2].tolist()
+            for start_ns, end_ns, usual_ns in _pauses(times, least_ns):
                 if any(first < end_ns and start_ns < last for first, last in still):
                     continue
                 own = [
@@ -96,6 +90,15 @@ def stalls(
                     text += ", no count is missing, and it went on as before"
                     yield Change(system, subject, "stalled", start_ns, start_ns + usual_ns, text)
                     yield Change(system, subject, "running", end_ns - usual_ns, end_ns, "it sends again")
+
+
+def _pauses(times: Integers, least_ns: int) -> Iterator[tuple[int, int, int]]:
+    """Yield the pauses of some times that are longer than usual: start, end and usual length, ns."""
+    steps = np.diff(times)
+    usual = steps[steps > SECOND // 20]
+    usual_ns = int(np.quantile(usual, 0.9)) if len(usual) else 0
+    for at in np.flatnonzero(steps > max(least_ns, _FACTOR * usual_ns)).tolist():
+        yield int(times[at]), int(times[at + 1]), usual_ns
 
 
 def _published_nothing(

@@ -214,9 +214,7 @@ def _unwanted(
             break  # the fewest that fit
         if may_be(sent):
             fits[item] = sent
-    if not fits:
-        return
-    alike = _alike(case, own, len(next(iter(fits))), may_be)
+    alike = _alike(case, own, len(next(iter(fits))), may_be) if fits else ()
     for sent in fits.values() if len(alike) == 1 else ():
         # What the last sample does not have may be on its way, where CI lost nothing.
         until = len(sent) if lost else counts[-1] + int(np.searchsorted(times[sent], seen_ns[0]))
