@@ -1,16 +1,16 @@
-"""ICMP errors about UDP datagrams: a closed port, a host or network that cannot be reached.
+"""ICMP errors about UDP datagrams: a closed port, no route, a firewall, fragments that never came.
 
 No port carries them, so their port is 0, like that of stored packets. Their content identifies them.
 
 An error contains the beginning of the datagram that reached nobody. RFC 792 and RFC 4443: destination
-unreachable. Only errors about UDP are read, and only if the header of the quoted IP packet has no options
-(IPv4) and no extension headers (IPv6).
+unreachable, packet too big, time exceeded. Only errors about UDP are read, and only if the header of the
+quoted IP packet has no options (IPv4) and no extension headers (IPv6).
 """
 
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -36,38 +36,43 @@ class _AddressField(Field, frozen=True):
         return str(ipaddress.ip_address(value))
 
 
-_CODES: Final = (
+_UNREACHABLE: Final = (
     *("network unreachable", "host unreachable", "protocol unreachable", "port unreachable"),
     *("fragmentation needed", "source route failed", "network unknown", "host unknown"),
     *("source host isolated", "network prohibited", "host prohibited", "network unreachable for service"),
     *("host unreachable for service", "communication prohibited", "host precedence violation"),
     "precedence too low",
 )
-_CODES_6: Final = (
+_UNREACHABLE_6: Final = (
     *("no route", "communication prohibited", "beyond the scope of the source", "address unreachable"),
     *("port unreachable", "source address not allowed", "route rejected", "error in source route"),
 )
+_EXCEEDED: Final = "hop limit exceeded", "fragment reassembly time exceeded"
 _PORTS: Final = Field("source_port", 16, "of the sender"), Field("destination_port", 16, "that it was for")
 
-ICMPV4: Final = Layout(
-    "icmp",
-    "ICMP",
-    Field("type", 8, "the kind of message", names={3: "destination unreachable"}, clause="RFC 792"),
-    Field("code", 8, "why", names=dict(enumerate(_CODES))),
-    Field("icmp_checksum", 16, "of the ICMP message", base=16),
+
+def _header(name: str, kind: int, meaning: str, codes: Sequence[str], *rest: Field) -> Layout:
+    """Return the layout of the eight bytes with which errors of one kind begin."""
+    return Layout(
+        name,
+        "ICMPv6" if "v6" in name else "ICMP",
+        Field("type", 8, "the kind of message", names={kind: meaning}),
+        Field("code", 8, "why", names=dict(enumerate(codes))),
+        Field("icmp_checksum", 16, "of the message; of ICMPv6 with a pseudo-header", base=16),
+        *rest,
+    )
+
+
+_REST: Final = (
     Field("unused", 8, "always 0"),
     Field("length", 8, "of what is quoted, in words of 4 bytes; 0 where extensions are not used"),
-    Field("next_hop_mtu", 16, "bytes that would fit, with code 4; else 0"),
+    Field("next_hop_mtu", 16, "bytes that would fit, where fragmentation is needed; else 0"),
 )
-ICMPV6: Final = Layout(
-    "icmpv6",
-    "ICMPv6",
-    Field("type", 8, "the kind of message", names={1: "destination unreachable"}, clause="RFC 4443 3.1"),
-    Field("code", 8, "why", names=dict(enumerate(_CODES_6))),
-    Field("icmp_checksum", 16, "of the ICMP message and a pseudo-header", base=16),
+_REST_6: Final = (
     Field("length", 8, "of what is quoted, in words of 8 bytes; 0 where extensions are not used"),
     Field("unused", 24, "always 0"),
 )
+_MTU: Final = Field("mtu", 32, "bytes that would fit")
 QUOTED_IPV4: Final = Layout(
     "quoted_ipv4",
     "Quoted IPv4 header",
@@ -104,33 +109,43 @@ QUOTED_UDP: Final = Layout(
     Field("udp_checksum", 16, "of the datagram", base=16),
 )
 _UDP: Final = 17
+_UNREACHED: Final = "destination unreachable"
 
 
 class ErrorForm(msgspec.Struct, frozen=True):
-    """One of the two forms of an error.
+    """The errors of ICMP or of ICMPv6.
 
     Attributes:
         protocol: number of the protocol in an IP header.
         version: version of IP, also of the quoted packet.
-        headers: headers in wire order; the quoted payload follows.
-        constants: fields with fixed values, by index in ``headers``.
-        port_unreachable: code for a port on which nobody listens.
+        kinds: type of an error to the header with which it begins; all have the same size.
+        quoted: the quoted IP header, and the UDP header; the quoted payload follows.
+        constants: fields of the quoted IP header with fixed values.
+        closed: type and code for a port on which nobody listens.
     """
 
     protocol: int
     version: int
-    headers: tuple[Layout, Layout, Layout]
-    constants: tuple[dict[str, int], dict[str, int]]
-    port_unreachable: int
+    kinds: Mapping[int, Layout]
+    quoted: tuple[Layout, Layout]
+    constants: Mapping[str, int]
+    closed: tuple[int, int]
 
     @property
     def size(self) -> int:
         """Bytes of all headers."""
-        return sum(layout.size for layout in self.headers)
+        return self.start(self.quoted[-1]) + self.quoted[-1].size
 
     def start(self, layout: Layout) -> int:
         """Return the offset of one of the headers."""
-        return sum(item.size for item in self.headers[: self.headers.index(layout)])
+        at = self.quoted.index(layout) + 1 if layout in self.quoted else 0
+        return sum(item.size for item in (self.kinds[self.closed[0]], *self.quoted)[:at])
+
+    def conditions(self) -> Iterator[tuple[Layout, str, Collection[int]]]:
+        """Yield fields that tell the form: header, name, and the values that the field may have."""
+        yield self.kinds[self.closed[0]], "type", self.kinds
+        for name, value in self.constants.items():
+            yield self.quoted[0], name, (value,)
 
     def fits(self, field: Callable[[Layout, str, int], Any]) -> Any:
         """Return whether a message has this form, with all headers complete.
@@ -139,11 +154,11 @@ class ErrorForm(msgspec.Struct, frozen=True):
             field: reads a number of a header that starts at a byte of the message: of one message, or an
                 array for many; -1 if the message ends before it.
         """
-        last = self.headers[-1]
+        last = self.quoted[-1]
         fit: Any = field(last, "udp_checksum", self.start(last)) >= 0
-        for layout, values in zip(self.headers, self.constants, strict=False):
-            for name, value in values.items():
-                fit = fit & (field(layout, name, self.start(layout)) == value)
+        for layout, name, values in self.conditions():
+            read = field(layout, name, self.start(layout))
+            fit = fit & (sum(read == value for value in values) > 0)
         return fit
 
 
@@ -151,19 +166,25 @@ FORMS: Final = (
     ErrorForm(
         protocol=1,
         version=4,
-        headers=(ICMPV4, QUOTED_IPV4, QUOTED_UDP),
-        constants=(
-            {"type": 3},
-            {"ip_version": 4, "header_length": 5, "fragment_offset": 0, "protocol": _UDP},
-        ),
-        port_unreachable=3,
+        kinds={
+            3: _header("icmp", 3, _UNREACHED, _UNREACHABLE, *_REST),
+            11: _header("icmp_time_exceeded", 11, "time exceeded", _EXCEEDED, *_REST),
+        },
+        quoted=(QUOTED_IPV4, QUOTED_UDP),
+        constants={"ip_version": 4, "header_length": 5, "fragment_offset": 0, "protocol": _UDP},
+        closed=(3, 3),
     ),
     ErrorForm(
         protocol=58,
         version=6,
-        headers=(ICMPV6, QUOTED_IPV6, QUOTED_UDP),
-        constants=({"type": 1}, {"ip_version": 6, "next_header": _UDP}),
-        port_unreachable=4,
+        kinds={
+            1: _header("icmpv6", 1, _UNREACHED, _UNREACHABLE_6, *_REST_6),
+            2: _header("icmpv6_too_big", 2, "packet too big", ["packet too big"], _MTU),
+            3: _header("icmpv6_time_exceeded", 3, "time exceeded", _EXCEEDED, *_REST_6),
+        },
+        quoted=(QUOTED_IPV6, QUOTED_UDP),
+        constants={"ip_version": 6, "next_header": _UDP},
+        closed=(1, 4),
     ),
 )
 LONGEST: Final = max(form.size for form in FORMS)
@@ -179,9 +200,11 @@ class IcmpLink(LinkProtocol):
     name = "ICMP"
     label = "icmp"
     colour = "red"
-    doc = "ICMP errors: a UDP datagram reached nobody (destination unreachable)"
+    doc = "ICMP errors: a UDP datagram reached nobody"
     transport = Transport(ports=(0,), first="server")
-    layouts = tuple(dict.fromkeys(layout for form in FORMS for layout in form.headers))
+    layouts = tuple(
+        dict.fromkeys(layout for form in FORMS for layout in (*form.kinds.values(), *form.quoted))
+    )
     port_decides = False
     quotes = True
 
@@ -192,20 +215,19 @@ class IcmpLink(LinkProtocol):
 
     def dissect(self, reading: Reading, site: Site) -> None:
         """Read the error, and the headers that it quotes."""
-        at = 0
-        for layout in _form_of(reading.data).headers:
-            reading.read(layout, at)
-            at += layout.size
+        form = _form_of(reading.data)
+        for layout in (form.kinds[reading.data[0]], *form.quoted):
+            reading.read(layout, form.start(layout))
 
     def places(self, layout: Layout, rows: BatchRows, field: str = "") -> tuple[Places, Integers]:
         """Find one of the headers; see :meth:`LinkProtocol.places`."""
         owner = np.flatnonzero(rows.column("link") == self)
         at = rows.datagram("offset")[owner].astype(np.int64)
-        kind = read_at(rows.batch.data, at, np.uint8)
-        shift = np.full(len(owner), -1)
+        kind, shift = read_at(rows.batch.data, at, np.uint8), np.full(len(owner), -1)
         for form in FORMS:
-            if layout in form.headers:
-                shift[kind == form.constants[0]["type"]] = form.start(layout)
+            kinds = [number for number, own in form.kinds.items() if own == layout]
+            own = rows.batch.ip_version[owner] == form.version
+            shift[own & (np.isin(kind, kinds) | (layout in form.quoted))] = form.start(layout)
         present = shift >= 0
         return owner[present], at[present] + shift[present]
 
@@ -213,7 +235,7 @@ class IcmpLink(LinkProtocol):
         """Return the quoted part of the datagram that an error quotes; see :meth:`LinkProtocol.quoted`."""
         data = datagram.payload
         form = _form_of(data)
-        (_, header, _), at = form.headers, form.size - QUOTED_UDP.size
+        header, at = form.quoted[0], form.start(QUOTED_UDP)
         ends = header.parse(data, form.start(header))
         ports = QUOTED_UDP.parse(data, at)
         whole = max(ports["length"] - QUOTED_UDP.size, 0)
@@ -236,9 +258,8 @@ class IcmpLink(LinkProtocol):
 
     def summary(self, decoded: Decoded) -> str:
         """Return the reason why the datagram reached nobody."""
-        return next(field.text for field in decoded.layers[0].fields if field.name == "code").partition(" (")[
-            0
-        ]
+        code = next(field for field in decoded.layers[0].fields if field.name == "code")
+        return code.text.partition(" (")[0]
 
 
 class QuotedRows(NamedTuple):
@@ -248,11 +269,13 @@ class QuotedRows(NamedTuple):
         datagrams: batch with their endpoints; the other columns are those of the errors.
         identification: IPv4 identification, u16; 0 for IPv6, which has none.
         closed: whether the addressed host itself reports that nobody listens on the port, bool.
+        reason: why, a number from 1 on, i64; :func:`reason_text` returns its text.
     """
 
     datagrams: PacketBatch
     identification: NDArray[np.uint16]
     closed: Mask
+    reason: Integers
 
 
 def quoted_rows(batch: PacketBatch, rows: Places) -> QuotedRows:
@@ -265,11 +288,12 @@ def quoted_rows(batch: PacketBatch, rows: Places) -> QuotedRows:
     address = {name: np.zeros(len(rows), np.uint32) for name in ADDRESSED}
     port = {name: np.zeros(len(rows), np.uint16) for name in ADDRESSED}
     identification, closed = np.zeros(len(rows), np.uint16), np.zeros(len(rows), bool)
+    reason = np.zeros(len(rows), np.int64)
     addresses = np.frombuffer(b"".join(own.ipv6), np.uint8).reshape(-1, 16)
     table = addresses[:0]
     for form in FORMS:
         at = np.flatnonzero(own.ip_version == form.version)
-        error, header, udp = form.headers
+        header, udp = form.quoted
         window, start = gather(batch.data, own.offset[at], form.size), form.start(header)
         places = {name: header.by_name[name] for name in ADDRESSED}
         raw = {
@@ -287,7 +311,9 @@ def quoted_rows(batch: PacketBatch, rows: Places) -> QuotedRows:
         for name in ADDRESSED:
             address[name][at] = numbers[name]
             port[name][at] = udp.column(f"{name}_port", window, form.start(udp))
-        closed[at] = error.column("code", window) == form.port_unreachable
+        kind, code = window[:, 0].astype(np.int64), window[:, 1]
+        reason[at] = form.version << 16 | kind << 8 | code
+        closed[at] = (kind == form.closed[0]) & (code == form.closed[1])
         closed[at] &= (reporter == raw["destination"]).all(axis=1)
     datagrams = replace(
         own,
@@ -297,12 +323,26 @@ def quoted_rows(batch: PacketBatch, rows: Places) -> QuotedRows:
         destination_port=port["destination"],
         ipv6=tuple(item.tobytes() for item in table),
     )
-    return QuotedRows(datagrams, identification, closed)
+    return QuotedRows(datagrams, identification, closed, reason)
+
+
+NOT_JOINED: Final = (0x040B01, 0x060301)
+"""The reasons that not all fragments of a datagram came: errors that are sent long after it."""
+TOO_LONG: Final = (0x040304, 0x060200)
+"""The reasons that the way carries no packets as long as the datagram's."""
+
+
+def reason_text(reason: int) -> str:
+    """Return why a datagram reached nobody, as the standards call it: ``host unreachable``."""
+    version, kind, code = reason.to_bytes(3)
+    layout = next(form for form in FORMS if form.version == version).kinds[kind]
+    return layout.by_name["code"].field.text(code).partition(" (")[0]
 
 
 def _form_of(data: bytes) -> ErrorForm:
-    """Return the form of a complete error."""
-    return next(form for form in FORMS if data[0] == form.constants[0]["type"])
+    """Return the form of a complete error: that of the version of the IP packet that it quotes."""
+    (form,) = (form for form in FORMS if data[form.start(form.quoted[0])] >> 4 == form.version)
+    return form
 
 
 ICMP: Final = IcmpLink()

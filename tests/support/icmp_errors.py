@@ -1,7 +1,7 @@
 """ICMP errors about datagrams, made by scapy."""
 
 from scapy.layers.inet import ICMP, IP, UDP
-from scapy.layers.inet6 import ICMPv6DestUnreach, IPv6
+from scapy.layers.inet6 import ICMPv6DestUnreach, ICMPv6PacketTooBig, ICMPv6TimeExceeded, IPv6
 from scapy.layers.l2 import Ether
 from scapy.packet import Raw
 
@@ -13,11 +13,16 @@ def datagram(payload, source, destination, **fields):
     return internet(**ends, **fields) / UDP(sport=source[1], dport=destination[1]) / Raw(payload)
 
 
-def error_about(packet, *, code=None, most=548, reporter=None):
+SIX = {1: ICMPv6DestUnreach, 2: ICMPv6PacketTooBig, 3: ICMPv6TimeExceeded}
+"""The errors of ICMPv6 by type."""
+
+
+def error_about(packet, *, kind=None, code=None, most=548, reporter=None):
     """Return the error that a host sends about an IP packet to its sender.
 
     Args:
         packet: as ``datagram`` returns it.
+        kind: type of the error; by default destination unreachable.
         code: why; by default a closed port.
         most: bytes of the packet that are quoted.
         reporter: address of the host; by default whom the packet was for.
@@ -25,9 +30,9 @@ def error_about(packet, *, code=None, most=548, reporter=None):
     six = isinstance(packet, IPv6)
     ends = {"src": reporter or packet.dst, "dst": packet.src}
     if six:
-        head = IPv6(**ends) / ICMPv6DestUnreach(code=4 if code is None else code)
+        head = IPv6(**ends) / SIX[kind or 1](code=4 if code is None else code)
     else:
-        head = IP(**ends, tos=0xC0) / ICMP(type=3, code=3 if code is None else code)
+        head = IP(**ends, tos=0xC0) / ICMP(type=kind or 3, code=3 if code is None else code)
     return head / Raw(bytes(packet)[:most])
 
 

@@ -258,15 +258,15 @@ def _ethertype(program: Assembler, end: int, prefix: str = "") -> None:
 def _quote(program: Assembler, form: icmp.ErrorForm) -> None:
     """Move X from an ICMP message to the UDP header that it quotes; drop it if it quotes none."""
     program.label(f"error {form.version}")
-    for layout, values in zip(form.headers, form.constants, strict=False):
-        for name, value in values.items():
-            slot = layout.by_name[name]
-            program.emit(LD_H_X if slot.end - slot.start == 2 else LD_B_X, form.start(layout) + slot.start)
-            program.emit(AND_K, slot.mask << slot.shift)
-            matched = f"quote {form.version} {layout.name} {name}"
+    for layout, name, values in form.conditions():
+        slot = layout.by_name[name]
+        program.emit(LD_H_X if slot.end - slot.start == 2 else LD_B_X, form.start(layout) + slot.start)
+        program.emit(AND_K, slot.mask << slot.shift)
+        matched = f"quote {form.version} {name}"
+        for value in values:
             program.test(JEQ, value << slot.shift, then=matched)
-            program.emit(RET, 0)
-            program.label(matched)
+        program.emit(RET, 0)
+        program.label(matched)
     program.emit(TXA)
     program.emit(ADD_K, form.start(icmp.QUOTED_UDP))
     program.emit(TAX)

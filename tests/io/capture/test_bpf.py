@@ -114,15 +114,17 @@ def wanted(link_type, packet, ports, protocol=0):
         if place:
             return True
         at += 4 * (packet[at] & 15)
-        if kind == 1:  # unreachable, and quotes UDP: no IP options, no later fragment
-            if packet[at] != 3 or packet[at + 8] != 0x45 or half(at + 14) & 0x1FFF or packet[at + 17] != 17:
+        if kind == 1:  # unreachable or time exceeded, and quotes UDP: no IP options, no later fragment
+            if packet[at] not in {3, 11} or packet[at + 17] != 17:
+                return False
+            if packet[at + 8] != 0x45 or half(at + 14) & 0x1FFF:
                 return False
             at += 28
     elif protocol == 0x86DD:
         following = packet[at + 6]
         at += 40
         if following == 58:
-            if packet[at] != 1 or packet[at + 8] >> 4 != 6 or packet[at + 14] != 17:
+            if packet[at] not in {1, 2, 3} or packet[at + 8] >> 4 != 6 or packet[at + 14] != 17:
                 return False
             at, following = at + 48, 17
         for _ in range(bpf.MAXIMUM_EXTENSIONS):
@@ -201,6 +203,9 @@ KEPT = {
     "error about 8 bytes": ethernet(ipv4(error(ipv4(udp(9, 1234))[:28]), protocol=1)),
     "error about a first fragment": ethernet(ipv4(error(ipv4(udp(9, 1234), flags=0x2000)), protocol=1)),
     "tagged error": ethernet(ipv4(error(ipv4(udp(9, 1234))), protocol=1), tags=[0x8100]),
+    "time exceeded": ethernet(ipv4(error(ipv4(udp(9, 1234)), 11, 1), protocol=1)),
+    "v6 too big": ethernet(ipv6(error(ipv6(udp(9, 1234)), 2, 0), 58), 0x86DD),
+    "v6 time exceeded": ethernet(ipv6(error(ipv6(udp(9, 1234)), 3, 1), 58), 0x86DD),
     "v6 error": ethernet(ipv6(error(ipv6(udp(9, 1234)), 1, 4), 58), 0x86DD),
     "destination": ethernet(ipv4(udp(9, 1234))),
     "source": ethernet(ipv4(udp(1234, 9))),
@@ -219,13 +224,13 @@ KEPT = {
 DROPPED = {
     "other ports": ethernet(ipv4(udp(9, 10))),
     "echo": ethernet(ipv4(error(ipv4(udp(9, 1234)), 8), protocol=1)),
-    "time exceeded": ethernet(ipv4(error(ipv4(udp(9, 1234)), 11), protocol=1)),
+    "redirect": ethernet(ipv4(error(ipv4(udp(9, 1234)), 5), protocol=1)),
     "error about tcp": ethernet(ipv4(error(ipv4(udp(9, 1234), protocol=6)), protocol=1)),
     "error about a later fragment": ethernet(ipv4(error(ipv4(udp(9, 1234), flags=0xB9)), protocol=1)),
     "error about options": ethernet(ipv4(error(ipv4(udp(9, 1234), options=bytes(4))), protocol=1)),
     "error cut before the ports": ethernet(ipv4(error(ipv4(udp(9, 1234))[:20]), protocol=1)),
     "later fragment of an error": ethernet(ipv4(error(ipv4(udp(9, 1234))), protocol=1, flags=0xB9)),
-    "v6 error, other kind": ethernet(ipv6(error(ipv6(udp(9, 1234)), 2), 58), 0x86DD),
+    "v6 error, other kind": ethernet(ipv6(error(ipv6(udp(9, 1234)), 4), 58), 0x86DD),
     "v6 error about tcp": ethernet(ipv6(error(ipv6(udp(9, 1234), 6), 1), 58), 0x86DD),
     "v4 error in v6": ethernet(ipv6(error(ipv4(udp(9, 1234))), 1), 0x86DD),
     "tcp": ethernet(ipv4(udp(1234, 1234), protocol=6)),
@@ -362,7 +367,7 @@ def packets(draw):
         quoted = about(
             datagram, **({"flags": draw(st.sampled_from([0, 0x2000, 1]))} if about is ipv4 else {})
         )
-        datagram = error(quoted, draw(st.sampled_from([1, 1, 3, 3, 8])), draw(st.integers(0, 4)))
+        datagram = error(quoted, draw(st.sampled_from([1, 2, 3, 3, 8, 11])), draw(st.integers(0, 4)))
     if about is ipv6:
         kind, packet = 0x86DD, ipv6(datagram, draw(st.sampled_from([58, 58, 1])))
     elif about is ipv4 or draw(st.booleans()):
