@@ -59,7 +59,7 @@ from edoras_tools.diagnosis.quality import (
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding, Link, Peer
 from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, by_value
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, by_value, distinct
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER
 
 if TYPE_CHECKING:
@@ -458,12 +458,16 @@ class Case:
     @cached_property
     def incomplete_ns(self) -> dict[tuple[Endpoint, int], list[int]]:
         """Sender and MsgId to the times, ns, of datagrams whose later fragments never came."""
+        start_of: dict[Endpoint, int] = {}
+        for stream in self.streams if self.capture.lacking else ():
+            ends = distinct(self.rows.source[stream.rows]) if not stream.link.only_to_cfs else ()
+            start_of |= {self.endpoints[at]: SBN_HEADER.size * stream.link.peers for at in ends}
         times: dict[tuple[Endpoint, int], list[int]] = {}
         for item in self.capture.lacking:
-            for start in (0, SBN_HEADER.size):
-                if len(item.head) > start + cfe.COMMAND_HEADER_BYTES:
-                    msg_id = self.context.msg_ids.of(item.head, start)
-                    times.setdefault((item.source, msg_id), []).append(item.time_ns)
+            start = start_of.get(item.source, len(item.head))
+            if len(item.head) > start + cfe.COMMAND_HEADER_BYTES:
+                msg_id = self.context.msg_ids.of(item.head, start)
+                times.setdefault((item.source, msg_id), []).append(item.time_ns)
         return times
 
     def came_in_part(self, stream: Stream) -> Integers:

@@ -734,7 +734,7 @@ def _unseen(case: Case, loss: Loss) -> LedgerWay:
     """Return the way of a loss that only a counter shows: its traffic is not in the capture."""
     msg_id = None if loss.msg_id == NO_MSG_ID else loss.msg_id
     way = LedgerWay(LedgerTraffic(msg_id=msg_id, instance=case.label(loss.instance)), loss.lost)
-    way.hop(loss.hop, _BY_BUS, among=loss.rivals)
+    way.hop(loss.hop, {"in": SEEN} if loss.kind == "fragments" else _BY_BUS, among=loss.rivals)
     way.add_losses([loss], frozenset({loss.kind}))
     rivals, twice = {item[1] for item in loss.rivals}, {*case.rows.msg_id[case.prepared.duplicates].tolist()}
     if rivals and (twice & rivals or any(item.not_captured for item in case.ingests)):

@@ -104,6 +104,35 @@ def test_later_fragments_that_a_firewall_dropped(lab):
     assert "a firewall or a router drops their later fragments" in verdict.reason
 
 
+def fragment_of(item):
+    """Return the identification of an Ethernet frame's IPv4 packet, and its place: 0 if it is the first."""
+    identification, place = struct.unpack_from(">HH", item.data, 18)
+    return identification, place & 0x1FFF
+
+
+@pytest.mark.parametrize(("begin_s", "end_s"), [(0, 35), (25, 60), (25, 35)])
+def test_fragments_that_are_dropped_when_the_capture_begins_or_ends(begin_s, end_s, lab, tmp_path):
+    """No sequence count has a gap there: the first fragments show what was lost."""
+    every = frames(FOLDER / "season3/q08b_later_fragments_dropped.pcap.zst")
+    start_ns = every[0].time_ns
+    items = [item for item in every if begin_s <= (item.time_ns - start_ns) / SECOND < end_s]
+    later = {fragment_of(item)[0] for item in items if fragment_of(item)[1]}
+    alone = sum(item.data[20] & 0x20 > 0 and fragment_of(item)[0] not in later for item in items)
+    assert alone > 30
+    found = lab.read(write(tmp_path / "x.pcap", items))
+    assert lost_by(found) == {"fragments": alone}
+
+
+def test_fragments_of_which_only_the_first_ever_came(lab, tmp_path):
+    """No 0x827 is whole: it has no stream, and the commands arrive."""
+    every = frames(FOLDER / "season3/q08b_later_fragments_dropped.pcap.zst")
+    poses = {fragment_of(item)[0] for item in every if item.data[42:44] == b"\x08\x27"}
+    items = [item for item in every if not (fragment_of(item)[1] and fragment_of(item)[0] in poses)]
+    found = lab.read(write(tmp_path / "x.pcap", items))
+    (row,) = (row for row in found.balance if row.msg_id == 0x827)
+    assert (row.lost, row.came) == ({"fragments": len(poses)}, len(poses))
+
+
 @pytest.mark.each(3)
 @pytest.mark.parametrize("change", ["1 % removed", "5 % removed", "30 % removed"])
 def test_fragments_that_the_capture_missed_here_and_there_were_not_dropped(lab, tmp_path, change):

@@ -129,7 +129,7 @@ def stream_gap(lab, tmp_path, msg_id):
     return cut
 
 
-def _answered(tmp_path, lab, code, reporter):
+def _answered(tmp_path, lab, reporter, delay_ns=10_000, **why):
     """Return the diagnosis of a rover to whom, from 20 to 40 s, errors come back about all telemetry."""
     path, out = ROOT / "tests/captures/a_rover.pcap.zst", []
     for item, sent in zip(datagrams(path), frames(path), strict=True):
@@ -141,14 +141,15 @@ def _answered(tmp_path, lab, code, reporter):
             packet = datagram(
                 item.payload, item.source, item.destination, id=item.identification, ttl=item.time_to_live
             )
-            error = frame(error_about(packet, code=code, reporter=reporter))
-            out.append(Frame(item.time_ns + 10_000, error, len(error)))
+            error = frame(error_about(packet, reporter=reporter, **why))
+            out.append(Frame(item.time_ns + delay_ns, error, len(error)))
+    out.sort(key=lambda item: item.time_ns)
     return lab.read(write_frames(tmp_path / "x.pcap", out), lab.missions("rover"))
 
 
 @case
 def port_closed(lab, tmp_path, msg_id):
-    found = _answered(tmp_path, lab, 3, None)
+    found = _answered(tmp_path, lab, None, code=3)
     (told,) = [item for item in found.verdicts if item.rule == "port_closed"]
     assert told.lost > 100
     assert told.lost == sum(row.lost.get("port_closed", 0) for row in found.balance)
@@ -157,12 +158,34 @@ def port_closed(lab, tmp_path, msg_id):
 
 @case
 def unreachable(lab, tmp_path, msg_id):
-    found = _answered(tmp_path, lab, 1, "10.0.0.254")
-    told = [item for item in found.verdicts if item.rule == "unreachable"]
-    assert (
-        sum(item.lost for item in told) == sum(row.lost.get("unreachable", 0) for row in found.balance) > 100
-    )
+    found = _answered(tmp_path, lab, "10.0.0.254", code=1)
+    assert _unreached(found) > 100
     return found
+
+
+def _unreached(found):
+    """Return how many messages ICMP errors of other kinds are about: the same in verdicts and balance."""
+    told = sum(item.lost for item in found.verdicts if item.rule == "unreachable")
+    assert told == sum(row.lost.get("unreachable", 0) for row in found.balance)
+    return told
+
+
+@pytest.mark.parametrize(
+    ("why", "delay_ns", "reason", "remedy"),
+    [
+        ({"code": 4}, 10_000, "fragmentation needed", "raise its MTU"),
+        ({"code": 13}, 10_000, "communication prohibited", "a firewall"),
+        ({"kind": 11, "code": 0}, 10_000, "hop limit exceeded", "the routes"),
+        ({"kind": 11, "code": 1}, 30 * 10**9, "fragment reassembly time exceeded", "let fragments through"),
+    ],
+)
+def test_an_error_says_why_a_datagram_reached_nobody(why, delay_ns, reason, remedy, lab, tmp_path):
+    found = _answered(tmp_path, lab, "10.0.0.254", delay_ns, **why)
+    assert _unreached(found) > 100
+    for item in found.verdicts:
+        if item.rule == "unreachable":
+            assert f": {reason}, as ICMP errors" in item.reason
+            assert remedy in item.remedy
 
 
 @case

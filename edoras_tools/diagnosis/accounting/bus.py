@@ -49,7 +49,7 @@ from edoras_tools.diagnosis.quality import overlapping
 from edoras_tools.model import Finding
 from edoras_tools.sessions.sequence import MODULUS
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays import Integers, Places, by_value
+from edoras_tools.wire.arrays import Integers, Places, by_value, distinct
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -74,6 +74,7 @@ _STEADY: Final = 1.1
 """A steady rate varies by less than this factor."""
 _LEAST_FRAGMENTED: Final = 6
 """If this many datagrams in a row never became whole, their fragments were dropped on the way."""
+_FIRST_ONLY: Final = "the first fragments of {:,} of them came, and no later ones"
 
 
 class Part(msgspec.Struct):
@@ -173,6 +174,7 @@ class Telemetry:
         self.losses: list[Loss] = []
         self.parts: list[Part] = []
         self.claims: list[Claim] = []
+        self._lose_types()
         for stream in case.streams:
             if not stream.link.only_to_cfs:
                 self._claim(stream)
@@ -276,6 +278,7 @@ class Telemetry:
     def _missing(self, stream: Stream) -> _Gaps:
         """Return the gaps of a stream, with an empty one after its end if events name later losses."""
         case, missing = self._case, stream.missing - self._dropped(stream)
+        missing -= self._never_whole(stream, missing)
         made_ns = case.instances.made_ns[stream.rows] if stream.instance != NOBODY else stream.time_ns
         events = (self._naming(stream, kind) for kind in COUNTERS)
         later = any(own.last_ns >= stream.time_ns[-1] for own in events if own)
@@ -498,11 +501,6 @@ class Telemetry:
         for cause, number in part.assigned.items():
             if number:
                 self._lose(part, cause, number, of, "high").uncounted = more * (cause == likeliest)
-        dropped = self._never_whole(part)
-        if rest > 0 and (cut := min(rest, dropped)):
-            part.evidence.append(f"the first fragments of {cut:,} of them came, and no later ones")
-            self._lose(part, "fragments", cut, of, "high")
-            rest -= cut
         hop = self._case.upstream(part.stream)
         if rest <= 0 or (hop is not None and hop.is_copy):  # a copy of a command may be lost before the bus
             return
@@ -547,13 +545,51 @@ class Telemetry:
             whom = "a cFS" if stream.instance == NOBODY else case.label(stream.instance)
             yield f"it came from {whom} over SBN, which is not captured: some may be lost at that pipe"
 
-    def _never_whole(self, part: Part) -> int:
-        """Return how many messages of a part lost their later fragments on the way."""
-        stream, span = part.stream, part.span
-        every = np.array(self._beginnings(stream), np.int64)
-        at = np.searchsorted(stream.time_ns, every[overlapping(every - 1, every + 1, self._fragmented)]) - 1
-        numbers = np.bincount(at[(at >= span.first) & (at <= span.last)], minlength=len(stream))
-        return int(np.minimum(numbers, stream.missing).sum())
+    def _lose_types(self) -> None:
+        """Make losses of messages that lost their later fragments, if none of their MsgId ever came whole."""
+        case, ends = self._case, self._case.endpoints
+        streams = case.streams if case.incomplete_ns else ()
+        whole = {(ends[at], x.msg_id) for x in streams for at in distinct(case.rows.source[x.rows])}
+        for (sender, msg_id), every in case.incomplete_ns.items():
+            times = np.sort(every)
+            times = times if len(times) >= _LEAST_FRAGMENTED else self._dropped_of(times)
+            if (sender, msg_id) not in whole and (number := len(times)):
+                start_ns, end_ns = np.maximum(times[[0, -1]], case.rows.time_ns[0]).tolist()
+                loss = Loss("fragments", BEHIND, number, start_ns, end_ns, "high", msg_id=msg_id, of=number)
+                loss.evidence = [_FIRST_ONLY.format(number)]
+                self.losses.append(loss)
+
+    def _dropped_of(self, times: Integers) -> Integers:
+        """Return which of some times of first fragments, i64, lie where no later fragments came."""
+        return times[overlapping(times - 1, times + 1, self._fragmented)]
+
+    def _never_whole(self, stream: Stream, missing: Integers) -> Integers:
+        """Make losses of the missing messages that lost their later fragments on the way: cFS sent them.
+
+        Args:
+            missing: missing messages after each row, i64 (rows,).
+
+        Returns:
+            How many of them these are, i64 (rows,).
+        """
+        every = self._dropped_of(np.sort(np.array(self._beginnings(stream), np.int64)))
+        at = np.searchsorted(stream.time_ns, every) - 1
+        # Those before the first row or after the last lie in no gap.
+        room = np.append(missing[:-1], len(every))
+        numbers = np.minimum(np.bincount(at[at >= 0], minlength=len(stream)), room)
+        for span in stream.spans:
+            rows = np.flatnonzero(numbers[span.rows]) + span.first
+            own = every[(np.maximum(at, 0) >= span.first) & (at <= span.last)]
+            early = int((at < 0).sum()) if span.first == 0 else 0
+            if number := int(numbers[rows].sum()) + early:
+                among = Among(stream, rows if len(rows) else np.array([0]), numbers[rows])
+                part = Part(stream, span, self._case.owner(stream), among)
+                part.evidence.append(_FIRST_ONLY.format(number))
+                of = span.count + max(number, int(missing[span.rows].sum()))
+                loss = self._lose(part, "fragments", number, of, "high")
+                loss.start_ns, loss.end_ns = np.maximum(own[[0, -1]], self._case.rows.time_ns[0]).tolist()
+                loss.among = None if early else among
+        return np.minimum(numbers, missing)
 
     def _beginnings(self, stream: Stream) -> list[int]:
         case = self._case
@@ -566,10 +602,10 @@ class Telemetry:
     @cached_property
     def _fragmented(self) -> list[tuple[int, int]]:
         """Intervals without later fragments: those that the capture missed lie between whole datagrams."""
-        cut = [(stream, own) for stream in self._case.streams if (own := self._beginnings(stream))]
         none = np.zeros(0, np.int64)
-        whole_ns = np.sort(np.concatenate([none, *(stream.time_ns for stream, _ in cut)]))
-        starts = np.sort(np.concatenate([none, *(own for _, own in cut)]))
+        cut = [stream.time_ns for stream in self._case.streams if self._beginnings(stream)]
+        whole_ns = np.sort(np.concatenate([none, *cut]))
+        starts = np.sort(np.concatenate([none, *self._case.incomplete_ns.values()]))
         groups = [starts[own] for _, own in by_value(np.searchsorted(whole_ns, starts))]
         return [(int(own[0]), int(own[-1])) for own in groups if len(own) >= _LEAST_FRAGMENTED]
 

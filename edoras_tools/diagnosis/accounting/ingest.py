@@ -858,7 +858,7 @@ class BeforeCi:
         if before is account.losses[0] and not bounded:
             spans.insert(1, (seen, 0))
         # A message that an ICMP error quotes is surely lost.
-        errors = self._case.unreachable.closed | self._case.unreachable.refused
+        errors = self._case.unreachable.closed | (self._case.unreachable.refused > 0)
         may = self._open(fates, before, before.since_ns)
         may = [(fate, own & errors[fate.stream.rows]) for fate, own in may]
         quoted = self._spread(may, before, rest, evidence)

@@ -37,6 +37,7 @@ class PortErrors(NamedTuple):
         destination: i64 (n,), number of the endpoint that did not get it.
         identification: i64 (n,), IP identification of the quoted datagram; 0 if it has none.
         closed: bool (n,), whether the receiver's host reports that nobody listens on the port.
+        reason: i64 (n,), what the error says; ``reason_text`` of the link has its text.
         print: i64 (n,), fingerprint of the error's own IP packet.
     """
 
@@ -45,6 +46,7 @@ class PortErrors(NamedTuple):
     destination: Integers
     identification: Integers
     closed: Mask
+    reason: Integers
     print: Integers
 
     def take(self, rows: Places | Mask) -> PortErrors:
@@ -63,7 +65,7 @@ class ErrorRecorder:
     def __init__(self, numbers: Numbers) -> None:
         self._numbers = numbers
         self._ways = self._seen = none = np.zeros(0, np.int64)
-        self._errors = [PortErrors(none, none, none, none, none.astype(bool), none)]
+        self._errors = [PortErrors(none, none, none, none, none.astype(bool), none, none)]
         self._voices: list[tuple[NDArray[Any], ...]] = [(none, none, none)]
 
     def about(self, batch: PacketBatch, columns: Columns) -> Mask:
@@ -98,10 +100,8 @@ class ErrorRecorder:
         message = of_bytes(own.data, network, own.frame_offset + own.frame_length - network)
         source, destination = (item.astype(np.int64) for item in self._numbers(quoted.datagrams))
         identification = quoted.identification.astype(np.int64)
-        prints = message.view(np.int64)
-        self._errors.append(
-            PortErrors(own.time_ns, source, destination, identification, quoted.closed, prints)
-        )
+        prints, why = message.view(np.int64), (quoted.closed, quoted.reason)
+        self._errors.append(PortErrors(own.time_ns, source, destination, identification, *why, prints))
 
     def errors(self) -> PortErrors:
         """Return the errors, each once, in order of time."""

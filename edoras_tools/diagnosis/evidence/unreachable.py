@@ -13,7 +13,8 @@ Rules:
    datagrams are lost between two errors, and uncertain after the last error.
 4. A program may have ended before it read the datagrams just before the first error. If the port sends
    regularly, these are uncertain, from its last own datagram on.
-5. An error from another host, or of another kind, concerns only the datagram that it quotes.
+5. An error from another host, or of another kind, proves only the datagram that it quotes lost. Those just
+   behind are uncertain: the host limits these errors, too. Errors about lengths concern no shorter ones.
 6. A robot that sends regularly, falls silent, and whose host sends no error, may be off: what goes to it
    until it sends again is uncertain. The capture may leave errors out, and a host that is off sends none.
 """
@@ -29,8 +30,9 @@ from msgspec.structs import replace
 from edoras_tools.diagnosis.evidence.fingerprint import brackets
 from edoras_tools.diagnosis.evidence.table import Rows, number_hosts
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
+from edoras_tools.links.icmp import NOT_JOINED, TOO_LONG
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays import Integers, Mask, by_value, numbered
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_value, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
 
 _WITHIN_NS: Final = 5 * SECOND
 """Longest time from a datagram to its error."""
+_JOIN_NS: Final = 65 * SECOND
+"""The same if the receiver waited for fragments: Linux waits 30 s, others 60 s (RFC 1122 3.3.2)."""
 _DISORDER_NS: Final = 50 * MILLISECOND
 """An error may stand this long before its datagram in the capture, if the identification is known."""
 _PATIENCE_NS: Final = 1200 * MILLISECOND
@@ -92,7 +96,7 @@ class Unreachable:
 
     Attributes:
         closed: bool (rows,), the datagram went to a closed port.
-        refused: bool (rows,), another error quotes it.
+        refused: i64 (rows,), the reason that another error gives that quotes it; 0 without one.
         uncertain: bool (rows,), it perhaps went to a closed port, or was not read there.
         spans: times in which ports were closed, by port and time.
     """
@@ -104,7 +108,8 @@ class Unreachable:
         endpoints: Sequence[Endpoint],
         translated: Mapping[str, str],
     ) -> None:
-        self.closed, self.refused, self.uncertain = np.zeros((3, len(rows)), bool)
+        self.closed, self.uncertain = np.zeros((2, len(rows)), bool)
+        self.refused = np.zeros(len(rows), np.int64)
         self.spans: list[ClosedSpan] = []
         errors = recorder.errors()
         if not len(errors.print) or not len(rows):
@@ -114,13 +119,37 @@ class Unreachable:
         names = np.array([number.get(item, at) for at, item in enumerate(same)])
         errors = errors._replace(source=names[errors.source], destination=names[errors.destination])
         row = _quoted(rows, errors)
-        self.refused[row[(row >= 0) & ~errors.closed]] = True
+        others = (row >= 0) & ~errors.closed
+        self.refused[row[others]] = errors.reason[others]
+        self._doubt_behind(rows, row[others], errors.time_ns[others])
         closing, own = errors.take(errors.closed), row[errors.closed]
         self.closed[own[own >= 0]] = True
         times, sources = recorder.voices()[:2]
         self._close(_events(rows, closing, own, self.closed, (times, names[sources])), endpoints)
-        self.refused[self.closed] = False
-        self.uncertain[self.closed | self.refused] = False
+        self.refused[self.closed] = 0
+        self.uncertain[self.closed | (self.refused > 0)] = False
+
+    def _doubt_behind(self, rows: Rows, quoted: Places, errors_ns: Integers) -> None:
+        """Mark as uncertain what follows a refused datagram sooner than its host sends errors (rule 5).
+
+        Args:
+            quoted: rows of the refused datagrams.
+            errors_ns: i64, capture time of the error about each.
+        """
+        ways, refused, delay_ns = rows.way(), self.refused > 0, np.zeros(len(rows), np.int64)
+        delay_ns[quoted] = errors_ns - rows.time_ns[quoted]
+        end_ns = max(int(rows.time_ns[-1]), int(errors_ns.max(initial=0)))
+        for way, own in by_value(np.where(np.isin(ways, ways[refused]), ways, -1)):
+            told, times, length = refused[own], rows.time_ns[own], rows.length[own]
+            if way >= 0 and told.any():
+                behind, last_ns = (np.maximum.accumulate(x) for x in (told, np.where(told, times, 0)))
+                by_length = np.isin(self.refused[own[told]], NOT_JOINED + TOO_LONG).all()
+                least = length[told].min() if by_length else 0
+                # The errors about the last ones may have been due after the end of the capture.
+                late = (times - last_ns < _PATIENCE_NS) | (
+                    times + delay_ns[own].max() - _DISORDER_NS > end_ns
+                )
+                self.uncertain[own] |= behind & late & (length >= least)
 
     def _close(self, events: _Events, endpoints: Sequence[Endpoint]) -> None:
         """Add the times in which ports were closed, and mark the datagrams of rules 3 and 4."""
@@ -211,9 +240,11 @@ def _quoted(rows: Rows, errors: PortErrors) -> Integers:
     times = np.concatenate((rows.time_ns[at], errors.time_ns + late_ns))
     order = np.lexsort((np.arange(size) >= count, times, group))
     before, behind = (order[item] for item in brackets(group[order], order < count))
-    near = times[behind] - times[before] <= _WITHIN_NS
+    error = behind - count
+    late_ns = np.where(np.isin(errors.reason, NOT_JOINED), _JOIN_NS, _WITHIN_NS)
+    near = times[behind] - times[before] <= late_ns[error]
     owner = np.full(len(quoted), -1)
-    owner[behind[near] - count] = at[before[near]]
+    owner[error[near]] = at[before[near]]
     return owner
 
 

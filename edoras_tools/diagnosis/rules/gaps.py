@@ -33,6 +33,7 @@ from edoras_tools.diagnosis.verdict import (
     warning,
 )
 from edoras_tools.links.bare import CI, ROBOT, TO
+from edoras_tools.links.icmp import reason_text
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import rate_hz
 from edoras_tools.units import SECOND
@@ -290,10 +291,11 @@ def lost_after_cfs(case: Case) -> Iterator[Verdict]:
 
     Say that the counters clear cFS: a verdict a topic, and one for all housekeeping of a sender.
     """
-    after = [loss for loss in case.losses if loss.kind in {"after", "fragments"} and loss.stream is not None]
+    after = [loss for loss in case.losses if loss.kind in {"after", "fragments"}]
 
     def relay_and_kind(loss: Loss) -> tuple[str, tuple[object, ...]]:
-        assert loss.stream is not None
+        if loss.stream is None:  # no message of it ever came whole
+            return "", (loss.kind,)
         together = loss.stream.is_housekeeping or loss.kind == "fragments"
         key = (loss.stream.sender, loss.stream.link, loss.kind) if together else (id(loss),)
         return _relay_of(case, loss), key
@@ -315,7 +317,6 @@ def _relay_of(case: Case, loss: Loss) -> str:
 
 def _lost_after(case: Case, members: list[Loss], relay: str) -> Verdict:
     first = members[0]
-    assert first.stream is not None
     lost, of = (sum(getattr(loss, name) or 0 for loss in members) for name in ("lost", "of"))
     names = list(dict.fromkeys(case.name(loss.msg_id) for loss in members))
     one, evidence = len(names) == 1, list(first.evidence)
@@ -344,7 +345,7 @@ def _lost_after(case: Case, members: list[Loss], relay: str) -> Verdict:
         *evidence,
         *case.drops_text(),
         msg_id=first.msg_id if one else None,
-        place=(first.stream.link.label, relay or first.hop),
+        place=(first.stream.link.label if first.stream else None, relay or first.hop),
         lost=lost,
         of=of,
         span=(min(loss.start_ns for loss in members), max(loss.end_ns for loss in members)),
@@ -576,6 +577,16 @@ def _open_again(case: Case, span: ClosedSpan) -> str:
     return "start what listens there first (its log may say why it ended), or send to its port"
 
 
+_REMEDIES: Final = {
+    "fragmentation": "the way carries only smaller packets: let it fragment them, or raise its MTU",
+    "too big": "the way carries only smaller packets: raise its MTU, or send smaller messages",
+    "reassembly": "let fragments through on the way, or raise its MTU above the longest of these",
+    "prohibited": "a firewall on the way refuses them: open it for this port",
+    "hop limit": "see the routes: packets go round, or the way is longer than their time to live",
+}
+_NO_WAY: Final = "see whether the host runs, and the route to it"
+
+
 def unreachable(case: Case) -> Iterator[Verdict]:
     """Datagrams came back as ICMP errors: a host, a network or a firewall on the way did not let them pass.
 
@@ -585,16 +596,20 @@ def unreachable(case: Case) -> Iterator[Verdict]:
         rows = item.lost.get(REFUSED)
         if rows is None:
             continue
-        endpoint = case.endpoints[item.endpoint]
+        endpoint, reasons = case.endpoints[item.endpoint], case.unreachable.refused
+        told = distinct(reasons[(case.rows.destination == item.endpoint) & (reasons > 0)]).tolist()
+        why = listed([reason_text(reason) for reason in told])
         yield error(
             f"{plural(len(rows), 'message')} of {case.name(item.stream.msg_id)} did not reach {endpoint}: "
-            "ICMP errors about them came back",
+            f"{why}, as ICMP errors about them say",
+            f"{plural(len(item.uncertain), 'more message')} may not have: a host sends few such errors"
+            * bool(len(item.uncertain)),
             msg_id=item.stream.msg_id if item.own else None,
             place=(item.stream.link.label, f"{UDP_PORT} {endpoint}"),
             lost=len(rows),
             of=len(rows),
             span=case.span(item.stream.rows[rows]),
-            remedy="edoras sniff --link icmp shows them: no route, a firewall, or too large messages",
+            remedy=next((text for word, text in _REMEDIES.items() if word in why), _NO_WAY),
         )
 
 

@@ -25,18 +25,19 @@ ENDS = [Endpoint("10.0.0.1", 8080), Endpoint("10.0.0.2", 8585), Endpoint("10.0.0
 LOOP = [Endpoint("127.0.0.1", item.port) for item in ENDS]
 SENDER, ROBOT, BRIDGE = range(3)
 HALF = 40
+HOST_UNREACHABLE = 0x040301
 
 
 class Errors:
     """What a recorder of errors gives: (time, receiver, identification, closed), and who spoke when."""
 
-    def __init__(self, errors, voices=()):
+    def __init__(self, errors, voices=(), reason=HOST_UNREACHABLE):
         columns = [np.array([item[at] for item in sorted(errors)], np.int64) for at in range(4)]
         time_ns, receiver, identification, closed = columns
         source = np.full(len(errors), SENDER)
-        self.all = PortErrors(
-            time_ns, source, receiver, identification, closed.astype(bool), np.arange(len(errors))
-        )
+        reason = np.full(len(errors), reason)
+        prints = np.arange(len(errors))
+        self.all = PortErrors(time_ns, source, receiver, identification, closed.astype(bool), reason, prints)
         self.spoke = np.array(voices, np.int64), np.full(len(voices), ROBOT)
 
     def errors(self):
@@ -57,8 +58,8 @@ def rows_of(sent):
     )
 
 
-def found_in(sent, errors, voices=(), ends=LOOP):
-    return Unreachable(rows_of(sent), Errors(errors, voices), ends, {})
+def found_in(sent, errors, voices=(), ends=LOOP, reason=HOST_UNREACHABLE):
+    return Unreachable(rows_of(sent), Errors(errors, voices, reason), ends, {})
 
 
 def every(step_ms, count, receiver=ROBOT, number=1):
@@ -145,6 +146,22 @@ def test_a_router_says_what_it_could_not_pass_on_and_no_more():
     assert np.flatnonzero(found.refused).tolist() == [10, 13, 16, 19]
     assert not found.closed.any()
     assert not found.spans
+    # It limits its errors: what follows within 1.2 s may have been refused, too.
+    assert np.flatnonzero(found.uncertain).tolist() == [11, 12, 14, 15, 17, 18, 20, 21, 22, 23, 24]
+
+
+def test_errors_about_fragments_come_late_and_those_about_the_last_never():
+    """The receiver waits 5 s for fragments, and sends an error in 1.2 s; the capture ends at 19.8 s."""
+    sent = every(200, 100)
+    errors = [(item[0] + 5000 * MS, *about(item, closed=0)[1:]) for item in sent[10:24:6]]
+    found = found_in(sent, errors, reason=0x040B01)
+    assert np.flatnonzero(found.refused).tolist() == [10, 16, 22]
+    assert np.flatnonzero(found.uncertain).tolist() == [
+        *range(11, 16),
+        *range(17, 22),
+        *range(23, 28),
+        *range(75, 100),
+    ]
 
 
 def test_bursts_without_identification_are_told_apart():
