@@ -308,6 +308,7 @@ QUICK = [
     or (name == "a_rover" and what not in NEAR_OTHERS)
 ]
 """A link layer is taken off before anything is judged: one capture will do; the rest is for ``make long``."""
+ENDS = "source", "destination"
 
 
 @cache
@@ -571,6 +572,26 @@ def test_what_is_cut_out_of_the_middle_is_not_lost(whole, tmp_path, name, start,
     assert "lost_after_cfs" not in {item.rule for item in found.verdicts}
     assert found.lost <= whole.lost
     assert found.unaccounted <= whole.unaccounted
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("restarted_at_once", "overload_of_a_dead_bridge", "housekeeping_to_a_peer"),
+        *("killed_and_back_at_once", "floods_of_poses"),
+    ],
+)
+def test_what_is_lost_on_loopback_is_lost_on_a_network_too(whole, tmp_path, name):
+    """A network may delay a message by two seconds, no more: one lost elsewhere does not excuse it."""
+    here, there = "127.0.0.", "10.77.0."  # of one length: commands have it, too
+
+    def moved(item):
+        ends = {end: (getattr(item, end)[0].replace(here, there), getattr(item, end)[1]) for end in ENDS}
+        return replace(item, payload=item.payload.replace(here.encode(), there.encode()), **ends)
+
+    items = [moved(item) for item in captured(f"flights/{name}")]
+    found, same = diagnosed(write(tmp_path / "x.pcap", items), name), whole(f"flights/{name}")
+    assert (found.lost, found.unaccounted, found.uncertain) == (same.lost, same.unaccounted, same.uncertain)
 
 
 @pytest.mark.quick("a_rover-700", "n1*-700")

@@ -49,6 +49,7 @@ from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_r
 from edoras_tools.diagnosis.quality import CONFIDENCE, FEW_RUNS, least_runs, overlapping
 from edoras_tools.diagnosis.verdict import Verdict
 from edoras_tools.model import Finding
+from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, distinct
 from edoras_tools.words import plural
 
@@ -65,6 +66,8 @@ if TYPE_CHECKING:
 _COUNTS: Final = 256
 _WRAPPED: Final = 128
 """A counter of 8 bits that falls by more than this has wrapped."""
+_LATE_NS: Final = 2 * SECOND
+"""Longest time by which a network delays one message more than another."""
 _UNEXPLAINED: Final = frozenset({"after", "unknown"})
 _COUNTED: Final = frozenset({*COUNTERS, "unknown"})
 
@@ -540,10 +543,17 @@ class Commands:
             gone = fate.passed & (fate.stop < 0) & (not hop.out.link.peers)
             fate.no_pipe |= gone & (hop.origin[hop.out_rows[0] :] >= 0).all()
             # Out of order, or with wrong times, it may be another one, sent a little sooner or later.
-            loose = self._case.unsteady_ns or self._case.is_far(fate.stream.receiver)
-            if loose or (np.diff(hop.in_rows) < 0).any():
-                others = open_[~(fate.passed | fate.newer)[open_]]
-                fate.passed[others[: int(room.sum()) - len(first)]] = True
+            times = fate.stream.time_ns
+            late_ns = (np.maximum.accumulate(times[hop.in_rows]) - times[hop.in_rows]).max(initial=0)
+            loose_ns = max(
+                late_ns, self._case.unsteady_ns, _LATE_NS * self._case.is_far(fate.stream.receiver)
+            )
+            others = open_[~(fate.passed | fate.newer)[open_] & (loose_ns > 0)]
+            left = room - np.bincount(behind[first], minlength=len(room))
+            left = np.append(0, np.cumsum(left))
+            ends = np.searchsorted(times[into], times[others] + loose_ns, "right") + 1
+            near = left[ends] > left[np.searchsorted(times[into], times[others] - loose_ns)]
+            fate.passed[others[near][: left[-1]]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
     def _mark_undecidable(self, fates: Sequence[Fate]) -> None:
