@@ -549,11 +549,10 @@ class Commands:
                 late_ns, self._case.unsteady_ns, _LATE_NS * self._case.is_far(fate.stream.receiver)
             )
             others = open_[~(fate.passed | fate.newer)[open_] & (loose_ns > 0)]
-            left = room - np.bincount(behind[first], minlength=len(room))
-            left = np.append(0, np.cumsum(left))
+            spare = np.append(0, np.cumsum(room - np.bincount(behind[first], minlength=len(room))))
             ends = np.searchsorted(times[into], times[others] + loose_ns, "right") + 1
-            near = left[ends] > left[np.searchsorted(times[into], times[others] - loose_ns)]
-            fate.passed[others[near][: left[-1]]] = True
+            near = spare[ends] > spare[np.searchsorted(times[into], times[others] - loose_ns)]
+            fate.passed[others[near][: spare[-1]]] = True
             fate.edge[open_[(behind == 0) | (behind == len(into))]] = True
 
     def _mark_undecidable(self, fates: Sequence[Fate]) -> None:

@@ -140,11 +140,11 @@ class Unreachable:
         delay_ns[quoted] = errors_ns - rows.time_ns[quoted]
         end_ns = max(int(rows.time_ns[-1]), int(errors_ns.max(initial=0)))
         for way, own in by_value(np.where(np.isin(ways, ways[refused]), ways, -1)):
-            told, times, length = refused[own], rows.time_ns[own], rows.length[own]
-            if way >= 0 and told.any():
-                behind, last_ns = (np.maximum.accumulate(x) for x in (told, np.where(told, times, 0)))
-                by_length = np.isin(self.refused[own[told]], NOT_JOINED + TOO_LONG).all()
-                least = length[told].min() if by_length else 0
+            answered, times, length = refused[own], rows.time_ns[own], rows.length[own]
+            if way >= 0 and answered.any():
+                behind, last_ns = (np.maximum.accumulate(x) for x in (answered, np.where(answered, times, 0)))
+                by_length = np.isin(self.refused[own[answered]], NOT_JOINED + TOO_LONG).all()
+                least = length[answered].min() if by_length else 0
                 # The errors about the last ones may have been due after the end of the capture.
                 late = (times - last_ns < _PATIENCE_NS) | (
                     times + delay_ns[own].max() - _DISORDER_NS > end_ns

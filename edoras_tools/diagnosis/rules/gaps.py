@@ -597,8 +597,8 @@ def unreachable(case: Case) -> Iterator[Verdict]:
         if rows is None:
             continue
         endpoint, reasons = case.endpoints[item.endpoint], case.unreachable.refused
-        told = distinct(reasons[(case.rows.destination == item.endpoint) & (reasons > 0)]).tolist()
-        why = listed([reason_text(reason) for reason in told])
+        numbers = distinct(reasons[(case.rows.destination == item.endpoint) & (reasons > 0)]).tolist()
+        why = listed([reason_text(reason) for reason in numbers])
         yield error(
             f"{plural(len(rows), 'message')} of {case.name(item.stream.msg_id)} did not reach {endpoint}: "
             f"{why}, as ICMP errors about them say",
