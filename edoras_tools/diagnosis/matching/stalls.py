@@ -48,7 +48,8 @@ _EDGE: Final = 8
 _BEHIND: Final = 8
 """Number of messages, from the last one before the pause on, whose mission times are checked."""
 _CFS: Final = StateOwner("cfs")
-_SCHEDULER: Final = StateOwner("app", min(SCHEDULERS))
+_SCHEDULER: Final = StateOwner("app", "SCH")
+"""One of ``SCHEDULERS``: nothing shows which of these is starved, and none is printed."""
 _UNWOKEN: Final = "no housekeeping"
 _WOKEN_NS: Final = 3 * SECOND
 """A scheduler may miss a tick or two."""
