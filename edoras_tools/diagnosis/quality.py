@@ -131,7 +131,12 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
     @property
     def lacks_answered(self) -> bool:
         """Whether a missing datagram surely reached the tap: it was answered, or CI counted it."""
-        return any(item.missing for item in self.evidence if item.kind in _ANSWERED)
+        return any(self._answered)
+
+    @property
+    def _answered(self) -> list[int]:
+        """The number of missing datagrams in each check by answers."""
+        return [item.missing for item in self.evidence if item.kind in _ANSWERED]
 
     @cached_property
     def sums(self) -> dict[tuple[int, EvidenceKind], tuple[int, int]]:
@@ -169,8 +174,7 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
 
         Only answered datagrams contradict it: others may be lost before they reach the tap.
         """
-        answered = [item.missing for item in self.evidence if item.kind in _ANSWERED]
-        return self.drops is not None and (not answered or min(answered) <= self.drops)
+        return self.drops is not None and min(self._answered, default=0) <= self.drops
 
     @property
     def known_zero(self) -> bool:
