@@ -476,8 +476,7 @@ class Leftover:
         self._places: dict[tuple[object, ...], Loss] = {}
         self._came: dict[Stream, Integers] = {}
         self._stalls = [x for x in case.timeline.every("stalled") if x.change.subject.kind == "cfs"]
-        self._beside: frozenset[ReportedLoss] = frozenset()
-        self._beside = frozenset(item for item in case.reported_losses if self._at_another(item))
+        self._at_others = frozenset(item for item in case.reported_losses if self._at_another(item))
 
     def share(self, shared: Sequence[Shared]) -> None:
         """Explain counts that are left: by traffic that events name, else by traffic too fast for its pipe.
@@ -526,7 +525,7 @@ class Leftover:
 
     def _at_another(self, item: ReportedLoss) -> bool:
         """Return whether a pipe is that of another subscriber: what it lost came out all the same."""
-        fate = self._fed(item) if item.at_pipe and not (item.at_output or item.at_peer) else None
+        fate = self._carried(item) if item.at_pipe and not (item.at_output or item.at_peer) else None
         ingests = self._case.ingests_at(fate.stream.receiver) if fate is not None and fate.seen else ()
         if fate is None or not ingests or any(own.older_until_ns or own.not_captured for own in ingests):
             return False
@@ -791,8 +790,10 @@ class Leftover:
 
     def _fed(self, reported: ReportedLoss) -> Fate | None:
         """Return the fate of the captured traffic that a reported loss is of; None if there is none."""
-        if reported in self._beside:
-            return None
+        return None if reported in self._at_others else self._carried(reported)
+
+    def _carried(self, reported: ReportedLoss) -> Fate | None:
+        """Return the fate of the captured traffic with the MsgId of a reported loss, at whatever pipe."""
         link = carrying("flight" if reported.sender.startswith("SBN") else "ground", to_cfs=True)
         alike = (fate for fate in self._fates.values() if fate.stream.link is link)
         own = (fate for fate in alike if fate.stream.msg_id == reported.msg_id)
