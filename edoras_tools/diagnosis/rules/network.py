@@ -102,18 +102,7 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
     quiet = int((lost_ns <= speaks_ns).sum())
     away_s = (until - silent.start_ns) / SECOND
     returned = f"back after {away_s:.1f} s" if until < case.end_ns else "not back in this capture"
-    why = "It was killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent"
-    remedy = "restart the peer: its first SUB or PROTO connects it"
-    if connection.runs(silent.start_ns, until):
-        why = "It sent to other ports meanwhile: it was cut off on this way alone, or sends to a wrong port"
-        remedy = "look at the port to which it sends, and at the network"
-    elif silent.stood_still:
-        why = "It was not started anew: it stood still, or was cut off, and may read late what it was sent"
-        remedy = "look at the load of its host, at who may stop its process, and at the network"
-    elif elsewhere := case.network.speaks_from(case.rows, connection.peer, silent.start_ns, until):
-        where = " and ".join(str(case.endpoints[end]) for end in elsewhere)
-        why = f"It went on at {where}: cFS hears it there, but sends to the address in its table"
-        remedy = "start it at the address in cFS's SBN table (sbn_conf_tbl), or change that table"
+    why, remedy = _why_silent(case, connection, silent)
     return verdict(
         Severity.ERROR if len(sent) else Severity.WARNING,
         f"SBN peer {connection.peer} fell silent at {case.at(silent.start_ns)} and timed out at "
@@ -141,6 +130,25 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         span=(silent.start_ns, min(max(out_ns, last_ns), until)),
         remedy=remedy,
     )
+
+
+def _why_silent(case: Case, connection: Connection, silent: PeerSilence) -> tuple[str, str]:
+    """Return why a peer that was given up was silent, and what to do."""
+    start_ns, until = silent.start_ns, silent.until_ns
+    if connection.runs(start_ns, until):
+        why = "It sent to other ports meanwhile: it was cut off on this way alone, or sends to a wrong port"
+        remedy = "look at the port to which it sends, and at the network"
+    elif silent.stood_still:
+        why = "It was not started anew: it stood still, or was cut off, and may read late what it was sent"
+        remedy = "look at the load of its host, at who may stop its process, and at the network"
+    elif elsewhere := case.network.speaks_from(case.rows, connection.peer, start_ns, until):
+        where = " and ".join(str(case.endpoints[end]) for end in elsewhere)
+        why = f"It went on at {where}: cFS hears it there, but sends to the address in its table"
+        remedy = "start it at the address in cFS's SBN table (sbn_conf_tbl), or change that table"
+    else:
+        why = "It was killed, stopped or cut off: a stop looks the same as a kill, no DISCONNECT is sent"
+        remedy = "restart the peer: its first SUB or PROTO connects it"
+    return why, remedy
 
 
 def sbn_peer_restart(case: Case) -> Iterator[Verdict]:
