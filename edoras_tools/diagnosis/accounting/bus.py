@@ -163,7 +163,7 @@ class Telemetry:
         silenced: streams, each with the number of messages that Telemetry Output took and did not send until
             it was enabled, and the messages that they are some of.
         parts: missing messages by stream and span.
-        claims: their claims on the loss counters; ``Claim.key`` is an index into ``parts``.
+        claims: their claims on the loss counters; ``Claim.messages`` is the part.
     """
 
     def __init__(self, case: Case) -> None:
@@ -208,12 +208,12 @@ class Telemetry:
         counts of that other cFS.
         """
         missing = [claim for claim in self.claims if claim.rank in (Rank.PRESSED, Rank.MISSING)]
-        handed_on = [claim for claim in missing if self._handed_on(self.parts[claim.key])]
+        handed_on = [claim for claim in missing if self._handed_on(claim.messages)]
         for claim in handed_on:
-            claim.instances = (*claim.instances, self.parts[claim.key].stream.instance)
+            claim.instances = (*claim.instances, claim.messages.stream.instance)
         settle(self._counts, missing if handed_on else (), FAR_NS)
         for claim in self.claims:
-            part = self.parts[claim.key]
+            part: Part = claim.messages
             for (at, kind), number in claim.by_kind().items():
                 if at == part.owner:
                     part.assigned[kind] += number
@@ -268,12 +268,11 @@ class Telemetry:
             behind = np.zeros(len(stream), np.int64)
             np.add.at(behind, own.at, own.number)
             part.kinds = self._kinds(part, behind, via=hop is not None)
+            self.parts.append(part)
             if owner in self._counts:
                 self._claim_open(part, own)
-            else:
-                self.parts.append(part)
         if len(gaps.at) and owner in self._counts:
-            self._tail(len(self.parts) - 1)
+            self._tail(self.parts[-1])
 
     def _missing(self, stream: Stream) -> _Gaps:
         """Return the gaps of a stream, with an empty one after its end if events name later losses."""
@@ -308,8 +307,7 @@ class Telemetry:
 
     def _claim_open(self, part: Part, gaps: _Gaps) -> None:
         """Add the claims of messages missing from a span of a stream whose way out was open."""
-        counts, key = self._counts[part.owner], len(self.parts)
-        low, high = gaps.low_ns, gaps.high_ns
+        counts, low, high = self._counts[part.owner], gaps.low_ns, gaps.high_ns
         part.outside = int(gaps.number[(low <= counts.times[0]) | (high > counts.times[-1])].sum())
         part.watched = 2 * part.outside <= part.missing
         round_s = queues.telemetry_pipe(self._case.profile).round_ns / SECOND
@@ -323,8 +321,7 @@ class Telemetry:
         rank, flow = Rank.PRESSED if part.kinds else Rank.MISSING, part.stream
         for members in claimed_alike([counts], low, high):
             span, number = (int(low[members[0]]), int(high[members[0]])), int(gaps.number[members].sum())
-            self.claims.append(Claim(key, *span, number, kinds, (part.owner,), rank, flow))
-        self.parts.append(part)
+            self.claims.append(Claim(part, *span, number, kinds, (part.owner,), rank, flow))
 
     def _dropped(self, stream: Stream) -> Integers:
         """Return how many missing messages after each row a proxy or damage explains, i64 (rows,)."""
@@ -358,8 +355,7 @@ class Telemetry:
         if part.owner in self._counts and (part.stream.link.only_from_cfs or alone):
             rank, kinds = Rank.OWN_PACKETS if part.cause is None else Rank.CLOSED, tuple(COUNTERS)
             span, number = (int(gap.low_ns[0]), int(gap.high_ns[0])), self._countable(part, gaps)
-            of = len(self.parts), *span, number, kinds, (part.owner,), rank, part.stream
-            self.claims.append(Claim(*of))
+            self.claims.append(Claim(part, *span, number, kinds, (part.owner,), rank, part.stream))
         self.parts.append(part)
 
     def _countable(self, part: Part, gaps: _Gaps) -> int:
@@ -451,10 +447,9 @@ class Telemetry:
         about = self._case.events_about(self._case.owner(stream), stream.msg_id, kind)
         return next((events for item, events in about if (item.at_output if output else item.at_peer)), None)
 
-    def _tail(self, key: int) -> None:
+    def _tail(self, part: Part) -> None:
         """Add a claim for messages that may be lost after the last one of a stream (rule 4)."""
-        part, case = self.parts[key], self._case
-        stream, of = part.stream, (part.owner,)
+        case, stream, of = self._case, part.stream, (part.owner,)
         if not (part.kinds and self._ends(part) and case.rows.on(lambda link: link.to_cfs).any()):
             return  # without the commands, the counts may be theirs
         # One round more may be lost, as many as one loses.
@@ -471,7 +466,7 @@ class Telemetry:
             made_ns = int(case.instances.made_ns[stream.rows[-1]])
             # All of them were published by then if they went on at the same rate.
             until_ns = made_ns + LEAD_NS + int(most * SECOND / max(part.span.offered_hz, 1))
-            self.claims.append(Claim(key, made_ns, until_ns, most, part.kinds, of, Rank.POSSIBLE, stream))
+            self.claims.append(Claim(part, made_ns, until_ns, most, part.kinds, of, Rank.POSSIBLE, stream))
 
     def _ends(self, part: Part) -> bool:
         """Return whether a stream ends with a part, or one complete round after it."""

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -132,7 +132,7 @@ class Claim(msgspec.Struct):
     """A group of messages that did not arrive, or may not have, and that could have caused the same counts.
 
     Attributes:
-        key: index of their owner in a list of the caller.
+        messages: the group itself, as whoever claims holds it; nothing here reads it.
         low_ns: earliest capture time at which they can have been counted.
         high_ns: latest such time.
         number: number of messages.
@@ -147,7 +147,7 @@ class Claim(msgspec.Struct):
         perhaps_missed: messages that are not in ``number``, because the capture may have missed them.
     """
 
-    key: int
+    messages: Any
     low_ns: int
     high_ns: int
     number: int

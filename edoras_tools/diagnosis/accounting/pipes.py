@@ -48,6 +48,7 @@ from edoras_tools.diagnosis.accounting.losses import (
     TAIL_NS,
     WAITS_NS,
     Among,
+    End,
     Fate,
     Loss,
     Outage,
@@ -110,7 +111,7 @@ def _standing(fate: Fate) -> tuple[Mask, ...]:
     return sure, may, fate.waits, fate.blind, into_stop, others & fate.edge
 
 
-class _Own(msgspec.Struct):
+class _Messages(msgspec.Struct):
     """Messages of one span of a stream that could have caused the same counts.
 
     Attributes:
@@ -131,14 +132,12 @@ class Pipes:
 
     Attributes:
         claims: claims of these messages on the loss counters.
-        whose: the messages of each claim, by its key.
     """
 
     def __init__(self, case: Case, losses: list[Loss]) -> None:
         self._case, self._counts, self.losses = case, case.loss_counts, losses
         self._same: dict[tuple[Stream, PipeKind, int, Span], Loss] = {}
         self.claims: list[Claim] = []
-        self.whose: list[_Own] = []
 
     def claim(self, fate: Fate) -> None:
         """Add claims for the messages of a stream that did not come out, on each cFS that it may go to."""
@@ -167,8 +166,8 @@ class Pipes:
             for members in claimed_alike(counts, low_ns[rows], high_ns[rows], which[rows]):
                 own = rows[members]
                 span = int(low_ns[own[0]]), int(high_ns[own[0]])
-                self.claims.append(Claim(len(self.whose), *span, len(own), tuple(kinds), group, rank, stream))
-                self.whose.append(_Own(fate, int(which[own[0]]), own, place))
+                messages = _Messages(fate, int(which[own[0]]), own, place)
+                self.claims.append(Claim(messages, *span, len(own), tuple(kinds), group, rank, stream))
 
     def _bursts(self, fate: Fate, group: Sequence[int]) -> bool:
         """Return whether more messages of a stream may reach its pipe in one round than the pipe holds."""
@@ -190,7 +189,8 @@ class Pipes:
         """Turn the counts that the claims got into losses."""
         groups = set[tuple[Hashable, ...]]()
         for claim in self.claims:
-            own, at = self.whose[claim.key], 0
+            own: _Messages = claim.messages
+            at = 0
             if own.standing == _INTO_STOP:  # the stop is their cause: ``closed.Stops`` makes that loss
                 own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += claim.explained
                 continue
@@ -560,9 +560,9 @@ class Leftover:
         if counts is None:
             return []
         times, claims = self._case.instances.made_ns[[record.row for record in report.records]], []
-        for key, (_, members) in enumerate(by_value(counts.seconds(times))):
+        for _, members in by_value(counts.seconds(times)):
             span, of = (int(times[members].min()), int(times[members].max())), (item.instance,)
-            claims.append(Claim(key, *span, len(members), (kind,), of, Rank.PRESSED, item))
+            claims.append(Claim(report, *span, len(members), (kind,), of, Rank.PRESSED, item))
         for slack_ns in (0, WAITS_NS):
             settle({item.instance: counts}, claims, slack_ns)
         return claims
@@ -624,7 +624,7 @@ class Leftover:
         astray = [own for own in claims if own.rank == Rank.MISSING and behind.intersection(own.instances)]
         others = self._pipes.claims if astray else []  # mostly there are none, and no tables are made
         for own, number in zip(others, take_back(self._counts, astray, others), strict=True):
-            ends = self._pipes.whose[own.key].fate.ends
+            ends: Counter[End] = own.messages.fate.ends
             part = min(number, ends["superseded"])
             ends["superseded"] -= part
             ends["missed"] += part
