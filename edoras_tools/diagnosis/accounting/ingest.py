@@ -74,7 +74,7 @@ _BUSY: Final = 0.9
 """A CI that reads this share of the most it can read may have left datagrams in its socket."""
 
 
-class Before(msgspec.Struct, frozen=True):
+class IngestLoss(msgspec.Struct, frozen=True):
     """Datagrams that were lost before a CI in one span of time.
 
     Attributes:
@@ -117,7 +117,8 @@ class Ingest(msgspec.Struct):
             of the datagrams just sent are in the first count.
         lacking: datagrams that its last counts before restarts lack: read later, or lost on a network that
             loses some.
-        before: datagrams that arrived before its first count was made and are not in it.
+        offset: datagrams that it had read and its first count lacks; negative: those that this count has from
+            before the capture.
         older_until_ns: until this time it may have read datagrams from before the capture, because it read as
             fast as it can when the capture began; 0 if it did not.
         ended: intervals from the last packet of a cFS that went down to when the next would have come: it may
@@ -131,22 +132,22 @@ class Ingest(msgspec.Struct):
     first_ns: int
     last_ns: int
     read_count: int = 0
-    losses: list[Before] = msgspec.field(default_factory=list)
+    losses: list[IngestLoss] = msgspec.field(default_factory=list)
     waiting: int = 0
     unread: int = 0
     not_captured: int = 0
     unsure: int = 0
     lacking: int = 0
-    before: int = 0
+    offset: int = 0
     older_until_ns: int = 0
     ended: list[tuple[int, int]] = msgspec.field(default_factory=list)
     by_kernel: bool = False
 
-    def add(self, loss: Before) -> None:
+    def add(self, loss: IngestLoss) -> None:
         """Append a loss; losses on the network that follow each other within 15 s become one."""
         last = self.losses[-1] if self.losses else None
         if last and last.cause == loss.cause == "network" and loss.start_ns - last.end_ns < _ONE_NS:
-            loss = Before("network", last.lost + loss.lost, last.start_ns, loss.end_ns)
+            loss = IngestLoss("network", last.lost + loss.lost, last.start_ns, loss.end_ns)
             self.losses.pop()
         self.losses.append(loss)
 
@@ -235,8 +236,8 @@ def _by_kernel(case: Case, to_ci: Places, endpoints: Collection[int]) -> Iterato
         if endpoint not in endpoints and ports[port] == 1 and (drops := case.host.by_port.get(port)):
             mine = to_ci[case.rows.destination[to_ci] == endpoint]
             span, lost = case.span(mine), min(drops, len(mine))
-            before, number = Before("socket", lost, *span), len(mine) - lost
-            yield Ingest(endpoint, NOBODY, mine, *span, number, [before], by_kernel=True)
+            loss, number = IngestLoss("socket", lost, *span), len(mine) - lost
+            yield Ingest(endpoint, NOBODY, mine, *span, number, [loss], by_kernel=True)
 
 
 class _Sample(msgspec.Struct, frozen=True):
@@ -301,6 +302,28 @@ def _endpoint(case: Case, places: Sequence[int], own: Sequence[_Sample]) -> int 
         port = command_ingest.PORT + int(processor) - 1 if processor.isdecimal() else 0
         fits = [place for place in fits if case.endpoints[place].port == port]
     return fits[0] if len(fits) == 1 else None
+
+
+class _Progress(msgspec.Struct):
+    """What the runs of a CI so far have shown: from one restart to the next.
+
+    Attributes:
+        first: index of the first sample of the latest run.
+        lost: number of datagrams lost.
+        offset: number of datagrams that it read and its present count lacks: of earlier runs.
+        room: number of datagrams that may be lost besides.
+        lag_ns: shortest time from sending a datagram to the first count that has it, in the latest run.
+        idle_ns: time of the last sample at which it had read fewer than it can.
+        crowded: whether it had read as many as it can at the latest sample.
+    """
+
+    first: int = 0
+    lost: int = 0
+    offset: int = 0
+    room: int = 0
+    lag_ns: int = 0
+    idle_ns: int = 0
+    crowded: bool = False
 
 
 class _Counted:
@@ -372,7 +395,7 @@ class _Counted:
             account: the account for a network without delay.
         """
         every = [self.account(ns + _APART_NS, ns) for ns in range(0, _UNDER_WAY_NS, _APART_NS)]
-        least = min(every, key=lambda item: (item.before > 0, item.not_captured, item.lost_by("network")))
+        least = min(every, key=lambda item: (item.offset > 0, item.not_captured, item.lost_by("network")))
         return replace(least, unsure=least.unsure + max(0, account.lost - least.lost))
 
     def account(self, under_way_ns: int = 0, least_ns: int = 0) -> Ingest:
@@ -386,8 +409,7 @@ class _Counted:
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         unsteady_ns = self._case.unsteady_ns
         sent = np.searchsorted(self._sent_ns, self._seen + unsteady_ns - least_ns, "right")
-        lost = before = last = idle_ns = room = lag_ns = 0
-        crowded = False
+        done = _Progress()
         for first, end in pairwise([0, *self._starts, len(own)]):
             part = slice(first, end)
             high = sent[part] - count[part]
@@ -395,83 +417,116 @@ class _Counted:
             emptied_ns -= under_way_ns + unsteady_ns
             low = np.where(emptied_ns <= 0, -_MODULUS, self._sent_until(emptied_ns) - count[part])
             if self._resets[first]:
-                # It ran on and reset its count: until then it read at most what it can.
-                begin: tuple[Cause, int] = ("socket" if crowded else "network", idle_ns)
-                most_read = before + self._most_read(own[last:first], own[first].made_ns) - own[first].count
-                if self._arrived is None:
-                    account.lacking += self._lacking(first, lost + before, lag_ns)
                 low[0] = -_MODULUS  # datagrams may have waited then
-                least, before = before + own[first - 1].count, min(_fewer(low, high) - lost, most_read)
-                room += max(0, before - least)
+                begin = self._reset(account, done, first, _fewer(low, high))
             elif first:
-                begin, lost, before = self._restarted(account, last, first, lost, before, lag_ns)
+                begin = self._restarted(account, done, first)
             else:
                 begin = self._first_count()
                 if busy[1:2].any() or ((sent[part][1:2] == 0) & (np.diff(count[part][:2]) > 0)).any():
                     low[0] = -_MODULUS  # nothing shows how many it had read before the first sample
-                    idle = np.flatnonzero(np.diff(count[part]) < most)
-                    behind = int(self._seen[idle[0] + 1 if len(idle) else -1])
-                    # Else it had read just what the capture shows, or fewer than a busy CI reads.
-                    wakes = (own[0].made_ns - self._case.start_ns) // self._profile.ci_wake_ns
-                    if count[end - 1] != sent[end - 1] and count[0] >= most * (wakes - 1):
-                        account.older_until_ns = min(behind, self._first_out[0] or own[0].seen_ns + DRAINS_NS)
+                    account.older_until_ns = self._older_until(end, is_all=count[end - 1] == sent[end - 1])
                 exact = low[0] <= 0 == high.min() == high[-1]  # in all it read just what the capture shows
                 # It is 0 if all that the first count has can be in the capture.
                 older = 0 if low[0] <= 0 <= high.min() else _fewer(low, high)
-                before = min(older, self._most_older(end)) * (begin[0] != "down" and not exact)
-                account.before = before
-                low[0] = min(low[0], max(before, high.min()))  # a datagram counted later was not lost
+                done.offset = min(older, self._most_older(end)) * (begin[0] != "down" and not exact)
+                account.offset = done.offset
+                low[0] = min(low[0], max(done.offset, high.min()))  # a datagram counted later was not lost
             drained = np.diff(count[part], prepend=count[first]) < most
             blind = not first and self._arrived is None
             # Datagrams from before the capture may wait too; they are no losses of this capture.
-            high = high - before if first else np.minimum(high - before, sent[part])
+            high = high - done.offset if first else np.minimum(high - done.offset, sent[part])
             # Those from before the capture that it reads until then.
             until = int(np.searchsorted(self._seen[part], account.older_until_ns, "right"))
             older = np.maximum(0, count[part][max(0, until - 1)] - count[part])
             beyond = high + older + 2 * most - self._profile.socket_queue
-            run = _Run(self._seen[part], low - before, high, drained, beyond, blind)
-            last_read = np.clip(lost + before + count[part], 1, len(self._sent_ns)) - 1
-            lag_ns = int((self._seen[part] - self._sent_ns[last_read]).min())
-            lost = _follow(account, run, lost, begin, room)
-            if blind and before and not busy[1:2].any():
-                # Before the capture the rate at its start is assumed, and the number sent is negative.
-                ahead_ns = int(emptied_ns[0]) - self._case.start_ns
-                surely = np.sign(ahead_ns) * self._sent_until(self._case.start_ns + abs(ahead_ns))
-                # Those that the first count lacks for sure may be lost, or counted before a reset.
-                unsure = max(0, before, before - int(surely) + own[0].count)
-                account.unsure += unsure * bool(account.losses)
-                account.lacking += max(0, before) * (not account.losses)
-            account.waiting = max(0, int(run.high[-1]) - lost)
-            last, crowded = first, bool(busy[-1])
+            run = _Run(self._seen[part], low - done.offset, high, drained, beyond, blind)
+            last_read = np.clip(done.lost + done.offset + count[part], 1, len(self._sent_ns)) - 1
+            done.lag_ns = int((self._seen[part] - self._sent_ns[last_read]).min())
+            done.lost = _follow(account, run, done.lost, begin, done.room)
+            if blind and done.offset and not busy[1:2].any():
+                self._doubt_first(account, int(emptied_ns[0]))
+            account.waiting = max(0, int(run.high[-1]) - done.lost)
+            done.first, done.crowded = first, bool(busy[-1])
             idle = np.flatnonzero(drained[1:])
-            idle_ns = int(self._seen[first + 1 + idle[-1]]) if len(idle) else idle_ns
-        if account.older_until_ns and account.before < 0:
-            # It reads in order: these come first, and as many more as it has lost of the others by then.
-            rest = self._sent_until(account.older_until_ns)
-            more = ceil(largest_share(max(1, int(sent[-1] - rest)), 0) * int(rest))
-            rising = count[: min([*self._starts, int(np.searchsorted(self._seen, account.older_until_ns))])]
-            until = int(np.searchsorted(rising, more - account.before))
-            if not account.losses and until < len(rising):
-                account.older_until_ns = int(self._seen[until])
-        account.read_count = int(sent[-1]) - lost - account.waiting
+            done.idle_ns = int(self._seen[first + 1 + idle[-1]]) if len(idle) else done.idle_ns
+        if account.older_until_ns and account.offset < 0 and not account.losses:
+            self._end_backlog(account, int(sent[-1]))
+        account.read_count = int(sent[-1]) - done.lost - account.waiting
         account.unread = max(0, account.waiting - int(sent[-1] - self._sent_until(own[-1].made_ns)))
         self._stop(account)
         return account
 
-    def _restarted(
-        self, account: Ingest, last: int, first: int, lost: int, before: int, lag_ns: int
-    ) -> tuple[tuple[Cause, int], int, int]:
-        """Return cause and begin of the losses by a restart, the number lost by then, and the number read.
+    def _older_until(self, end: int, *, is_all: bool) -> int:
+        """Return until when it may have read datagrams from before the capture; 0 if it surely read none.
+
+        Args:
+            end: index of the sample behind the first run.
+            is_all: it read just what the capture shows.
+        """
+        own, most, idle = self._own, self._most, np.flatnonzero(np.diff(self._count[:end]) < self._most)
+        behind = int(self._seen[idle[0] + 1 if len(idle) else -1])
+        wakes = (own[0].made_ns - self._case.start_ns) // self._profile.ci_wake_ns
+        if is_all or own[0].count < most * (wakes - 1):  # or fewer than a busy CI reads
+            return 0
+        return min(behind, self._first_out[0] or own[0].seen_ns + DRAINS_NS)
+
+    def _doubt_first(self, account: Ingest, emptied_ns: int) -> None:
+        """Add the datagrams that the first count lacks: lost, or counted before a reset that is not captured.
+
+        Args:
+            account: the account.
+            emptied_ns: time until which CI had read everything at its first sample.
+        """
+        # Before the capture the rate at its start is assumed, and the number sent is negative.
+        ahead_ns = emptied_ns - self._case.start_ns
+        surely = np.sign(ahead_ns) * self._sent_until(self._case.start_ns + abs(ahead_ns))
+        unsure = max(0, account.offset, account.offset - int(surely) + self._own[0].count)
+        account.unsure += unsure * bool(account.losses)
+        account.lacking += max(0, account.offset) * (not account.losses)
+
+    def _end_backlog(self, account: Ingest, sent: int) -> None:
+        """Let the backlog from before the capture end once CI has read as many as its first count has of it.
+
+        It reads in order: these come first, and as many more as it has lost of the others by then.
+        """
+        rest = self._sent_until(account.older_until_ns)
+        more = ceil(largest_share(max(1, sent - int(rest)), 0) * int(rest))
+        rising = self._count[: min([*self._starts, int(np.searchsorted(self._seen, account.older_until_ns))])]
+        until = int(np.searchsorted(rising, more - account.offset))
+        if until < len(rising):
+            account.older_until_ns = int(self._seen[until])
+
+    def _reset(self, account: Ingest, done: _Progress, first: int, fewer: int) -> tuple[Cause, int]:
+        """Return cause and begin of the losses at a reset of its counters: it ran on.
+
+        Until then it read at most what it can.
+
+        Args:
+            account: the account.
+            done: the runs before.
+            first: index of the first sample after it.
+            fewer: by how many the counts of this run are below the numbers sent.
+        """
+        own = self._own
+        most_read = done.offset + self._most_read(own[done.first : first], own[first].made_ns)
+        if self._arrived is None:
+            account.lacking += self._lacking(first, done)
+        least = done.offset + own[first - 1].count
+        done.offset = min(fewer - done.lost, most_read - own[first].count)
+        done.room += max(0, done.offset - least)
+        return ("socket" if done.crowded else "network"), done.idle_ns
+
+    def _restarted(self, account: Ingest, done: _Progress, first: int) -> tuple[Cause, int]:
+        """Return cause and begin of the losses by a restart.
 
         Args:
             account: the account; datagrams lost with the closed socket are added to it.
-            last: index of the first sample of the run before the restart.
+            done: the runs before; what was lost and read until the restart is set here.
             first: index of the first sample after it.
-            lost: number of datagrams lost until the restart.
-            before: number of datagrams read before the previous run.
-            lag_ns: shortest time from sending a datagram to the first count that has it, in that run.
         """
         sooner, later = self._own[first - 1], self._own[first]
+        run, offset = self._own[done.first : first], done.offset
         ended_ns = self._ended_ns(sooner, later)
         blind = (end for start, end in self._case.all_holes if start < later.seen_ns and sooner.seen_ns < end)
         ended_ns = max([ended_ns, *blind])  # it may have read on while nothing was captured
@@ -481,37 +536,40 @@ class _Counted:
         stops = (item for item in self._outages() if not item.restarted and item.start_ns < later.seen_ns)
         alone: Cause = "ci_stopped" if any((one.end_ns or 0) > sooner.seen_ns for one in stops) else "restart"
         cause: Cause = "down" if self._restarts[first] else alone
-        read = self._most_read(self._own[last:first], read_ns)
+        read = self._most_read(run, read_ns)
         if not commands and self._arrived is None and sooner.instance == later.instance:
             # Nothing shows when it ended: it may have read on until it started again.
-            surely = before + read
-            read = self._most_read(self._own[last:first], later.made_ns)
-            account.unsure += max(0, min(int(self._sent_until(ended_ns)) - lost, before + read) - surely)
-        most_read, total = before + read, before + sooner.count
+            surely = offset + read
+            read = self._most_read(run, later.made_ns)
+            by_then = int(self._sent_until(ended_ns)) - done.lost
+            account.unsure += max(0, min(by_then, offset + read) - surely)
         if self._arrived is None:
-            account.lacking += self._lacking(first, lost + before, lag_ns)
-        before = int(self._sent_until(ended_ns)) - lost
-        if before > most_read:
+            account.lacking += self._lacking(first, done)
+        done.offset = int(self._sent_until(ended_ns)) - done.lost
+        if (waited := done.offset - offset - read) > 0:
             # The datagrams that waited in its socket are lost with it.
-            span = self._own[last].seen_ns, ended_ns
-            account.losses.append(Before(cause, before - most_read, *span, more=read - sooner.count))
-            lost, before = lost + before - most_read, most_read
+            more = read - sooner.count
+            account.losses.append(IngestLoss(cause, waited, run[0].seen_ns, ended_ns, more=more))
+            done.lost, done.offset = done.lost + waited, offset + read
         if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
-            account.unsure += max(0, before - max(total, int(self._sent_until(min(commands)[1])) - lost))
+            by_then = int(self._sent_until(min(commands)[1])) - done.lost
+            account.unsure += max(0, done.offset - max(offset + sooner.count, by_then))
         if cause == "down" and self._arrived is None:
             until_ns = min(self._next_sign_ns(sooner.instance, ended_ns), later.made_ns)
             if restarts := self._restarts_ns(ended_ns - self._profile.ci_wake_ns, until_ns):
                 ended_ns = max(ended_ns, restarts[0])  # it may have read what came with the command
-                before, until_ns = int(self._sent_until(ended_ns)) - lost, ended_ns + self._profile.ci_wake_ns
+                done.offset = int(self._sent_until(ended_ns)) - done.lost
+                until_ns = ended_ns + self._profile.ci_wake_ns
             account.ended.append((ended_ns, until_ns))
-            before += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
+            done.offset += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
             ended_ns = until_ns
-        return (cause, ended_ns), lost, before
+        return cause, ended_ns
 
-    def _lacking(self, first: int, total: int, lag_ns: int) -> int:
+    def _lacking(self, first: int, done: _Progress) -> int:
         """Return how many sent until the last count before a restart that count, and those before, lack."""
         sooner = self._own[first - 1]
-        return max(0, int(self._sent_until(sooner.seen_ns - lag_ns)) - total - sooner.count)
+        sent = int(self._sent_until(sooner.seen_ns - done.lag_ns))
+        return max(0, sent - done.lost - done.offset - sooner.count)
 
     def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return the times of commands between two times that restart its cFS."""
@@ -538,7 +596,7 @@ class _Counted:
                     since_ns = surely_ns
                 if unread := int((self._sent_ns > since_ns).sum()):
                     span = since_ns, int(self._sent_ns[-1])
-                    account.losses.append(Before("ci_stopped", unread, *span, proof=item.witness))
+                    account.losses.append(IngestLoss("ci_stopped", unread, *span, proof=item.witness))
 
     def _outages(self) -> list[Outage]:
         """Return the outages of this CI."""
@@ -752,7 +810,7 @@ def _follow(account: Ingest, run: _Run, lost: int, begin: tuple[Cause, int], roo
             lacks = run.drained[part] & (run.high[part] + shown_less >= number)
             until_ns = int(run.seen[level.first + lacks.argmax() if lacks.any() else level.last])
             if number > lost:
-                account.add(Before(cause, number - lost, min(since_ns, until_ns), until_ns))
+                account.add(IngestLoss(cause, number - lost, min(since_ns, until_ns), until_ns))
         lost = number
     if account.losses[-1:] != before:
         account.losses[-1] = replace(account.losses[-1], more=max(0, levels[-1].high - lost) + room)
@@ -789,12 +847,12 @@ class BeforeCi:
             for fate in fates:
                 times = fate.stream.time_ns
                 fate.end("crowded", fate.open & (times > start_ns) & (times <= end_ns))
-        for before in account.losses:
-            self._before_ci(account, before)
+        for loss in account.losses:
+            self._assign(account, loss)
         outages = [item for item in self._case.outages if item.app in command_ingest.NAMES]
         if any(item.start_ns < account.first_ns for item in outages) and not any(item.seen for item in fates):
             # Sent while it was restarted, or just before.
-            account.unsure = max(account.unsure, account.before)
+            account.unsure = max(account.unsure, account.offset)
         self._make_uncertain([(fate, fate.open) for fate in fates], account.unsure)
 
     def concede(self, telemetry: Sequence[Loss]) -> None:
@@ -828,66 +886,66 @@ class BeforeCi:
         own = (fate for fate in self._fates if fate.stream.link.only_to_cfs)
         return [fate for fate in own if fate.stream.receiver == account.endpoint]
 
-    def _before_ci(self, account: Ingest, before: Before) -> None:
+    def _assign(self, account: Ingest, loss: IngestLoss) -> None:
         """Assign one loss: to messages that did not come out, else to streams in proportion to their size."""
-        rest, fates = before.lost, self._to(account)
+        rest, fates = loss.lost, self._to(account)
         # Streams of which it is known how many CI read: by a counter, or because all that it reads comes out.
         seen = [fate for fate in fates if fate.refused or (fate.seen and not fate.keeps_newest)]
-        evidence = _evidence(account, before)
-        bounded = before.proof or before.cause in _OUTAGES
+        evidence = _evidence(account, loss)
+        bounded = loss.proof or loss.cause in _OUTAGES
         surely: list[_May] = []
-        if before.cause in _OUTAGES:
-            closed, may = self._case.unreachable.closed, self._open(fates, before, before.since_ns)
+        if loss.cause in _OUTAGES:
+            closed, may = self._case.unreachable.closed, self._open(fates, loss, loss.since_ns)
             rest = max(rest, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))
             # CI reads in order: the latest of what waited when it ended is lost, and the first sent later.
             sent_ns = self._case.rows.time_ns[account.rows]
-            sent_ns = sent_ns[(sent_ns > before.since_ns) & (sent_ns <= before.end_ns)]
-            waited = any(item.start_ns == before.end_ns for item in account.losses)
-            lost_ns = sent_ns[-before.lost :] if waited else sent_ns[: before.lost]
-            until = replace(before, end_ns=int(lost_ns.max(initial=0)))
-            surely = self._open(fates, until, int(lost_ns.min(initial=before.end_ns)) - 1)
+            sent_ns = sent_ns[(sent_ns > loss.since_ns) & (sent_ns <= loss.end_ns)]
+            waited = any(item.start_ns == loss.end_ns for item in account.losses)
+            lost_ns = sent_ns[-loss.lost :] if waited else sent_ns[: loss.lost]
+            until = replace(loss, end_ns=int(lost_ns.max(initial=0)))
+            surely = self._open(fates, until, int(lost_ns.min(initial=loss.end_ns)) - 1)
             rest -= self._answered(surely)
-        if before.proof:
+        if loss.proof:
             surely = []
             for fate in fates:  # CI was stopped: what waits will never be read
-                never = fate.waits & (fate.stream.time_ns > before.since_ns)
+                never = fate.waits & (fate.stream.time_ns > loss.since_ns)
                 fate.open |= never
                 fate.waits &= ~never
         # First messages that did not come out; the first loss may have been before the first count.
-        spans = [(seen, before.since_ns), (fates, before.since_ns), (fates, 0)][: 2 if bounded else None]
-        if before is account.losses[0] and not bounded:
+        spans = [(seen, loss.since_ns), (fates, loss.since_ns), (fates, 0)][: 2 if bounded else None]
+        if loss is account.losses[0] and not bounded:
             spans.insert(1, (seen, 0))
         # A message that an ICMP error quotes is surely lost.
         errors = self._case.unreachable.closed | (self._case.unreachable.refused > 0)
-        may = self._open(fates, before, before.since_ns)
+        may = self._open(fates, loss, loss.since_ns)
         may = [(fate, own & errors[fate.stream.rows]) for fate, own in may]
-        quoted = self._spread(may, before, rest, evidence)
+        quoted = self._spread(may, loss, rest, evidence)
         rest -= quoted
-        if quoted and before.cause == "network":
+        if quoted and loss.cause == "network":
             evidence.append(f"{QUOTED}{quoted:,} of them came back")
-        if not bounded and (theirs := min(rest, self._strange(account, before))):
+        if not bounded and (theirs := min(rest, self._strange(account, loss))):
             rest -= theirs
-            at = account.losses.index(before)
-            account.losses[at] = before = replace(before, more=before.more + theirs)
+            at = account.losses.index(loss)
+            account.losses[at] = loss = replace(loss, more=loss.more + theirs)
         surely = [(fate, own & fate.open) for fate, own in surely]
-        rest -= self._spread(surely, before, rest, evidence)
+        rest -= self._spread(surely, loss, rest, evidence)
         for those, since_ns in spans:
-            rest -= self._spread(self._open(those, before, since_ns), before, rest, evidence)
+            rest -= self._spread(self._open(those, loss, since_ns), loss, rest, evidence)
         # Datagrams of no stream, such as those without a MsgId. Others that are left were read by another
         # cFS.
         others = np.setdiff1d(account.rows, np.concatenate([fate.stream.rows for fate in fates]))
-        if rest := min(rest, int((self._case.rows.time_ns[others] <= before.end_ns).sum())):
-            span = before.start_ns, before.end_ns
-            hop = LOST_AT[before.cause]
-            self.losses.append(Loss(before.cause, hop, rest, *span, "medium", evidence=evidence))
+        if rest := min(rest, int((self._case.rows.time_ns[others] <= loss.end_ns).sum())):
+            span = loss.start_ns, loss.end_ns
+            hop = LOST_AT[loss.cause]
+            self.losses.append(Loss(loss.cause, hop, rest, *span, "medium", evidence=evidence))
 
-    def _strange(self, account: Ingest, before: Before) -> int:
+    def _strange(self, account: Ingest, loss: IngestLoss) -> int:
         """Return how many datagrams of programs that are no bridges came to a CI while it lost some."""
         case, rows = self._case, account.rows
         strange = {flow.source for flow in case.prepared.flows if flow.kind is ConversationKind.STRANGER}
         places = [at for at, item in enumerate(case.endpoints if strange else ()) if item in strange]
         sent_ns = case.rows.time_ns[rows[np.isin(case.rows.source[rows], places)]]
-        return int(((sent_ns > before.since_ns) & (sent_ns <= before.end_ns)).sum())
+        return int(((sent_ns > loss.since_ns) & (sent_ns <= loss.end_ns)).sum())
 
     def _answered(self, may: Sequence[_May]) -> int:
         """Make messages uncertain that were sent while no ICMP error came for long; return how many."""
@@ -901,18 +959,18 @@ class BeforeCi:
             number += fate.end("crowded", own & overlapping(fate.stream.time_ns, fate.stream.time_ns, spans))
         return number
 
-    def _open(self, fates: Sequence[Fate], before: Before, since_ns: int) -> list[_May]:
+    def _open(self, fates: Sequence[Fate], loss: IngestLoss, since_ns: int) -> list[_May]:
         """Return the messages without a fate that were sent between a time and the end of a loss."""
         times = [fate.stream.time_ns for fate in fates]
-        inside = ((sent_ns > since_ns) & (sent_ns <= before.end_ns) for sent_ns in times)
+        inside = ((sent_ns > since_ns) & (sent_ns <= loss.end_ns) for sent_ns in times)
         return [(fate, fate.open & own) for fate, own in zip(fates, inside, strict=True)]
 
-    def _spread(self, may: Sequence[_May], before: Before, number: int, evidence: list[str]) -> int:
+    def _spread(self, may: Sequence[_May], loss: IngestLoss, number: int, evidence: list[str]) -> int:
         """Make at most ``number`` messages of some streams a loss before CI; return how many.
 
         Args:
             may: streams, and which messages may be lost.
-            before: the loss.
+            loss: the loss.
             number: upper bound.
             evidence: lines that show it.
         """
@@ -927,7 +985,7 @@ class BeforeCi:
             sure = inside[(inside > last) | (fate.keeps_newest & ~fate.newer[inside])][:share]
             rows = np.union1d(sure, _spread_evenly(np.setdiff1d(inside, sure), share - len(sure)))
             fate.claim(rows)
-            self.losses.append(fate.loss(before.cause, rows, evidence, among=inside))
+            self.losses.append(fate.loss(loss.cause, rows, evidence, among=inside))
         return sum(parts)
 
     def outnumbered(self, account: Ingest) -> None:
@@ -961,15 +1019,15 @@ class BeforeCi:
         size, quality = sum(len(fate.stream) for fate in all_out), self._case.quality
         # If the capture surely missed some frames, no share is excluded.
         shows = any(item.missing for item in quality.evidence if item.kind != "periods")
-        for before in account.losses if size and self._case.loss_counts else ():
-            may = self._open(all_out, before, before.since_ns)
+        for loss in account.losses if size and self._case.loss_counts else ():
+            may = self._open(all_out, loss, loss.since_ns)
             number = sum(int((own & ~fate.unseen).sum()) for fate, own in may)
             missed = quality.may_have_missed(size) if shows else self._case.perhaps_missed(size, number)
             text = "so many did not come out, and its counts leave room for them"
-            self._spread(may, before, min(max(0, number - missed), before.more), [text])
-        for before in account.losses:
-            may = self._open(self._to(account), before, before.since_ns)
-            self._make_uncertain(may, min(before.more, self._strange(account, before)))
+            self._spread(may, loss, min(max(0, number - missed), loss.more), [text])
+        for loss in account.losses:
+            may = self._open(self._to(account), loss, loss.since_ns)
+            self._make_uncertain(may, min(loss.more, self._strange(account, loss)))
 
     def wait(self, account: Ingest) -> None:
         """Mark the latest messages without a fate as waiting in CI's socket at its last count.
@@ -997,12 +1055,12 @@ class BeforeCi:
             fate.waits &= ~waiting
 
 
-def _evidence(account: Ingest, before: Before) -> list[str]:
-    if before.proof:
-        return [before.proof]
+def _evidence(account: Ingest, loss: IngestLoss) -> list[str]:
+    if loss.proof:
+        return [loss.proof]
     if account.by_kernel:
-        of = f"{before.lost:,} of {len(account.rows):,} datagrams"
+        of = f"{loss.lost:,} of {len(account.rows):,} datagrams"
         return [f"/edoras/host: {of} dropped in its socket (the kernel's counter)"]
     sent = account.read_count + account.lost + account.waiting
     of = f"{account.read_count:,} of {sent:,} datagrams sent to it"
-    return [f"0x884: CI took {of}", f"{before.lost:,} of them lost between two of its counts"]
+    return [f"0x884: CI took {of}", f"{loss.lost:,} of them lost between two of its counts"]
