@@ -199,28 +199,8 @@ def ingests(case: Case) -> list[Ingest]:
         endpoint = places[system]
         # If two CIs share an address and port, nothing shows which one a datagram was for.
         if endpoint is not None and uses[endpoint] == 1 and len(own) > 1:
-            counter = _Counted(case, endpoint, system, to_ci[rows.destination[to_ci] == endpoint], own)
-            # Where counts contradict both their time stamps and losses, all may be as late.
-            for counter.sooner_ns in (0, case.profile.to_wake_ns, 0):
-                account = counter.account()
-                if not account.not_captured or not (account.losses or counter.sooner_ns):
-                    break
-            lost = account.lost_by("network")
-            if lost or (account.lost and account.not_captured):
-                late = counter.account(_UNDER_WAY_NS)
-                more = lost - late.lost_by("network")
-                # Rule 8: what a slow network explains is neither a loss nor a copy.
-                is_less = more >= min(account.not_captured, lost) - late.not_captured
-                if is_less and (more == lost > 0 or late.not_captured < account.not_captured):
-                    even = late if counter.stood or counter.has_output else counter.of_steady_delay(account)
-                    # How many waited when CI ended depends on the delay.
-                    waited = max(0, account.lost_by(*_OUTAGES) - late.lost_by(*_OUTAGES))
-                    more = min(more, late.waiting) * (not counter.has_output)  # under way, or lost
-                    late = replace(late, waiting=late.waiting - more, unread=max(0, late.unread - more))
-                    late.unsure = account.unsure + waited + more
-                    account = even if even.lost_by("network") and not even.not_captured else late
-                elif counter.stood and more > 0:
-                    account = replace(late, unsure=account.unsure + more)
+            mine = to_ci[rows.destination[to_ci] == endpoint]
+            account = _Counted(case, endpoint, system, mine, own).best()
             account.concede_copies(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
             accounts.append(account)
     return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
@@ -374,19 +354,44 @@ class _Counted:
         A robot gets a command at once; on other ways the application and the link may keep it for a while.
         """
         self._arrived = np.sort(np.concatenate([sent for sent, _ in self._read])) if hops else None
-        self.has_output = bool(hops)
+        self._has_output = bool(hops)
         """Whether the way out is captured, which shows how long a command takes."""
         self._all_out = all(hop.out.link.last_hop for hop in hops)
         """Whether everything read comes out: on other ways newer messages may supersede older ones."""
         self._read_ns = _read_by(hops)
         self._first_out = min(((int(out[0]), int(sent[0])) for sent, out in self._read), default=(0, 0))
         """Of the first command that came out: a time at which CI had not read it, and when it was sent."""
-        self.sooner_ns = 0
+        self._sooner_ns = 0
         """How much sooner each count may be made than its time stamp says."""
-        self.stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
+        self._stood = bool((np.diff(self._sent_until(self._seen))[np.diff(self._count) == 0] > 2).any())
         """Whether CI read nothing between two samples though datagrams were sent, as on a stalled network."""
 
-    def of_steady_delay(self, account: Ingest) -> Ingest:
+    def best(self) -> Ingest:
+        """Return the account that explains most, of a network with or without delay (rules 8 and 9)."""
+        account = self.account()
+        if account.not_captured and account.losses:
+            self._sooner_ns = self._profile.to_wake_ns
+            sooner = self.account()
+            self._sooner_ns *= not sooner.not_captured
+            account = sooner if self._sooner_ns else account
+        lost = account.lost_by("network")
+        if not (lost or (account.lost and account.not_captured)):
+            return account
+        late = self.account(_UNDER_WAY_NS)
+        more = lost - late.lost_by("network")
+        # What a slow network explains is neither a loss nor a copy.
+        is_less = more >= min(account.not_captured, lost) - late.not_captured
+        if is_less and (more == lost > 0 or late.not_captured < account.not_captured):
+            even = late if self._stood or self._has_output else self._of_steady_delay(account)
+            # How many waited when CI ended depends on the delay.
+            waited = max(0, account.lost_by(*_OUTAGES) - late.lost_by(*_OUTAGES))
+            more = min(more, late.waiting) * (not self._has_output)  # under way, or lost
+            late = replace(late, waiting=late.waiting - more, unread=max(0, late.unread - more))
+            late.unsure = account.unsure + waited + more
+            return even if even.lost_by("network") and not even.not_captured else late
+        return replace(late, unsure=account.unsure + more) if self._stood and more > 0 else account
+
+    def _of_steady_delay(self, account: Ingest) -> Ingest:
         """Return the best account for any constant delay of the network up to 2 s.
 
         No count came too early for it, if possible; then it has the fewest counts and losses unexplained.
@@ -636,7 +641,7 @@ class _Counted:
         out_ns, sent_ns = self._read_ns
         # A busy CI has read the datagrams that came out, and perhaps no others; a count may be made a round
         # of Telemetry Output sooner than its time stamp says.
-        late_ns = _SLACK_NS + np.maximum(self._profile.to_wake_ns * busy, self.sooner_ns)
+        late_ns = _SLACK_NS + np.maximum(self._profile.to_wake_ns * busy, self._sooner_ns)
         last = np.searchsorted(out_ns, self._made[part] - late_ns) - 1
         return np.maximum(np.where(busy, 0, oldest), sent_ns[np.maximum(last, 0)]), busy
 
