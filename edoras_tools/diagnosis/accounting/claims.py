@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Hashable
 from enum import IntEnum
+from itertools import product
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
@@ -196,28 +197,11 @@ def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int 
     """
     ranks = sorted({claim.rank for claim in claims})
     for place in range(len(COUNTERS)):  # as much as can be is of the likelier kind
-        tables = _tables(counts, claims, slack_ns, place + 1)
+        market = _Market(counts, claims, slack_ns, place + 1)
         for rank in ranks:
-            for table in tables.values():
-                table.serve([at for at in table.asking if table.prefers(at, rank, place)])
-        _improve(tables, claims)
-
-
-def _tables(
-    counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0, kinds: int = len(COUNTERS)
-) -> dict[tuple[int, PipeKind], _Table]:
-    """Return a table of claims for each counter that has counts left, or that a path may lead through."""
-    used = {place[:2] for claim in claims for place in claim.assigned}
-    low, high = np.array([(claim.low_ns, claim.high_ns) for claim in claims], np.int64).reshape(-1, 2).T
-    tables = {}
-    for at, own in counts.items():
-        near = np.flatnonzero((high + slack_ns >= own.times[0]) & (low - slack_ns <= own.times[-1])).tolist()
-        near = [place for place in near if at in claims[place].instances]
-        for kind in COUNTERS:
-            if own.left[kind].any() or (at, kind) in used:
-                asking = [place for place in near if kind in claims[place].kinds[:kinds]]
-                tables[at, kind] = _Table((at, kind), own, claims, slack_ns, asking)
-    return tables
+            for table in market.tables.values():
+                table.serve(table.preferring(rank, place))
+        market.improve()
 
 
 class Rival(NamedTuple):
@@ -359,29 +343,26 @@ def settle_possible(
     rivals = [*filter(lambda rival: rival.flow not in behind, rivals)]
     gaps = [item for item in claims if item.rank in (Rank.PRESSED, Rank.MISSING) and item.flow in behind]
     settle(counts, gaps, _APART_NS)
-    tables = _tables(counts, claims).values()
+    tables = _Market(counts, claims).tables.values()
     shared: dict[tuple[int, PipeKind, frozenset[Hashable]], Shared] = {}
     others = [] if rivals else [claim for claim in claims if claim.rank != Rank.MISSING]
+    ranks = sorted({claim.rank for claim in claims if claim.rank >= Rank.POSSIBLE})
     has_rest = True
-    for rank in sorted({claim.rank for claim in claims if claim.rank >= Rank.POSSIBLE}):
-        for place in range(len(COUNTERS)):
-            for table in tables:
-                asking = {at for at in table.asking if table.prefers(at, rank, place)}
-                for second in np.flatnonzero(table.left).tolist() if asking else ():
-                    takers = [at for at in table.within(second) if at in asking and claims[at].open]
-                    span = counts[table.instance].times[second : second + 2].tolist()
-                    unseen = table.unseen(second, rivals, span)
-                    flows = table.sharers(second, takers, unseen)
-                    if has_rest and (flows or rank >= Rank.UNNAMED):
-                        settle_rest(counts, claims)
-                        has_rest = False
-                    table.give_surplus(second, takers, unseen)
-                    number = table.give(second, takers, reserve=bool(flows)) * bool(flows)
-                    if number:
-                        key = table.instance, table.kind, flows
-                        shared.setdefault(key, Shared(*key, 0, *span)).add(number, flows, span)
-            # What the likelier counter of one traffic may hold is not left to another's second choice.
-            _improve(_tables(counts, others, 0, place + 1), others, alone=True)
+    for rank, place in product(ranks, range(len(COUNTERS))):
+        for table in tables:
+            for second, takers in table.seconds(rank, place):
+                span = counts[table.instance].span([second])
+                unseen = table.unseen(second, rivals, span)
+                flows = table.sharers(second, takers, unseen)
+                if has_rest and (flows or rank >= Rank.UNNAMED):
+                    settle_rest(counts, claims)
+                    has_rest = False
+                table.give_surplus(second, takers, unseen)
+                if (number := table.give(second, takers, reserve=bool(flows))) and flows:
+                    key = table.instance, table.kind, flows
+                    shared.setdefault(key, Shared(*key, 0, *span)).add(number, flows, span)
+        # What the likelier counter of one traffic may hold is not left to another's second choice.
+        _Market(counts, others, kinds=place + 1).improve(alone=True)
     return list(shared.values())
 
 
@@ -396,7 +377,7 @@ def take_back(counts: Mapping[int, Counts], claims: Sequence[Claim], others: Seq
     Returns:
         How many of these counts each of ``others`` may have caused.
     """
-    tables, numbers = _tables(counts, [*claims, *others]), [0] * len(others)
+    tables, numbers = _Market(counts, [*claims, *others]).tables, [0] * len(others)
     for claim in claims:
         for place in [*claim.assigned]:
             for at in tables[place[:2]].within(place[2]):
@@ -455,7 +436,7 @@ def _others(
         rest[at].left[kind][second] += number
         places[at, kind, second] = int(rest[at].left[kind][second])
     copies = [replace(item, assigned=dict(item.assigned)) for item in others]
-    _improve(_tables(rest, copies), copies)
+    _Market(rest, copies).improve()
     for at, kind, second in places:
         places[at, kind, second] -= int(rest[at].left[kind][second])
     takers = zip(others, copies, strict=True)
@@ -484,10 +465,16 @@ class _Table:
         self._place = {at: place for place, at in enumerate(self.asking)}
         self._within: dict[int, list[int]] = {}
 
-    def prefers(self, at: int, rank: int, place: int) -> bool:
-        """Return whether a claim has this rank, is open, and has this counter as its ``place``-th kind."""
-        claim = self._claims[at]
-        return claim.rank == rank and claim.kinds[place:][:1] == (self.kind,) and claim.open > 0
+    def preferring(self, rank: int, place: int) -> list[int]:
+        """Return the open claims of a rank that have this counter as their ``place``-th kind."""
+        own = (at for at in self.asking if self._claims[at].kinds[place : place + 1] == (self.kind,))
+        return [at for at in own if self._claims[at].rank == rank and self._claims[at].open > 0]
+
+    def seconds(self, rank: int, place: int) -> Iterator[tuple[int, list[int]]]:
+        """Yield the seconds with counts left, each with those ``preferring`` claims that are still open."""
+        asking = set(self.preferring(rank, place))
+        for second in np.flatnonzero(self.left).tolist() if asking else ():
+            yield second, [at for at in self.within(second) if at in asking and self._claims[at].open]
 
     def within(self, second: int) -> list[int]:
         """Return the indices of the claims whose interval contains a second."""
@@ -556,89 +543,111 @@ class _Table:
         return before - int(self.left[second])
 
 
-def _improve(
-    tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], *, alone: bool = False
-) -> None:
-    """Assign what is left by moving counts between claims along augmenting paths.
+class _Market:
+    """Counters and claims, and the ways on which counts can move from one claim to another.
 
     Args:
-        alone: only where a single kind of traffic has open claims that can be reached.
+        counts: counters by instance.
+        claims: claims on them.
+        slack_ns: the interval of each claim is widened by this on both sides.
+        kinds: number of kinds of each claim that are asked for, the likelier first.
+
+    Attributes:
+        tables: instance and kind to the claims on each counter that has counts left, or through which counts
+            may move.
     """
-    dead: set[int] = set()
-    if not any(claim.open for claim in claims):
-        return
-    for (instance, kind), table in tables.items():
-        for second in np.flatnonzero(table.left).tolist():
-            place = instance, kind, second
-            if alone:
-                ways = _ways_from(tables, claims, place, set())
-                may = (claims[at] for _, _, fresh in ways for at in fresh)
-                if len({claim.flow for claim in may if claim.open or claim.perhaps_missed}) != 1:
-                    continue
-            while table.left[second] and (path := _path(tables, claims, place, dead)):
-                _shift(table, claims, path)
 
+    def __init__(
+        self,
+        counts: Mapping[int, Counts],
+        claims: Sequence[Claim],
+        slack_ns: int = 0,
+        kinds: int = len(COUNTERS),
+    ) -> None:
+        self._claims = claims
+        self.tables: dict[tuple[int, PipeKind], _Table] = {}
+        used = {place[:2] for claim in claims for place in claim.assigned}
+        low, high = np.array([(claim.low_ns, claim.high_ns) for claim in claims], np.int64).reshape(-1, 2).T
+        for at, own in counts.items():
+            within = (high + slack_ns >= own.times[0]) & (low - slack_ns <= own.times[-1])
+            near = [place for place in np.flatnonzero(within).tolist() if at in claims[place].instances]
+            for kind in COUNTERS:
+                if own.left[kind].any() or (at, kind) in used:
+                    asking = [place for place in near if kind in claims[place].kinds[:kinds]]
+                    self.tables[at, kind] = _Table((at, kind), own, claims, slack_ns, asking)
 
-def _shift(table: _Table, claims: Sequence[Claim], path: Sequence[tuple[Place, int]]) -> None:
-    """Move counts along a path: each claim gives its count to the next and takes the one before it."""
-    second = path[0][0][2]
-    moved = min(int(table.left[second]), claims[path[-1][1]].open)
-    for (place, _), (_, before) in zip(path[1:], path, strict=False):
-        moved = min(moved, claims[before].assigned[place])
-    for place, at in path:
-        claims[at].give(place, moved)
-    for (place, _), (_, before) in zip(path[1:], path, strict=False):
-        claims[before].give(place, -moved)
-    table.left[second] -= moved
+    def improve(self, *, alone: bool = False) -> None:
+        """Assign what is left by moving counts between claims along augmenting paths.
 
+        Args:
+            alone: only where a single kind of traffic has open claims that can be reached.
+        """
+        dead: set[int] = set()
+        if not any(claim.open for claim in self._claims):
+            return
+        for (instance, kind), table in self.tables.items():
+            for second in np.flatnonzero(table.left).tolist():
+                place = instance, kind, second
+                if alone:
+                    may = (self._claims[at] for _, _, fresh in self._ways_from(place, set()) for at in fresh)
+                    if len({claim.flow for claim in may if claim.open or claim.perhaps_missed}) != 1:
+                        continue
+                while table.left[second] and (path := self._path(place, dead)):
+                    self._shift(table, path)
 
-def _path(
-    tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], start: Place, dead: set[int]
-) -> list[tuple[Place, int]] | None:
-    """Return the moves that lead from counts that are left to an open claim; None if there is no path.
+    def _shift(self, table: _Table, path: Sequence[tuple[Place, int]]) -> None:
+        """Move counts along a path: each claim gives its count to the next and takes the one before it."""
+        claims, second = self._claims, path[0][0][2]
+        moved = min(int(table.left[second]), claims[path[-1][1]].open)
+        for (place, _), (_, before) in zip(path[1:], path, strict=False):
+            moved = min(moved, claims[before].assigned[place])
+        for place, at in path:
+            claims[at].give(place, moved)
+        for (place, _), (_, before) in zip(path[1:], path, strict=False):
+            claims[before].give(place, -moved)
+        table.left[second] -= moved
 
-    Args:
-        start: place of the counts.
-        dead: claims that lead to no open one; extended if there is no path.
-    """
-    from_: dict[int, tuple[Place, int | None]] = {}
-    for place, giver, fresh in _ways_from(tables, claims, start, dead):
-        for at in fresh:
-            from_[at] = place, giver
-            if claims[at].open:
-                path, before = [(place, at)], giver
-                while before is not None:
-                    path.append((from_[before][0], before))
-                    before = from_[before][1]
-                return path[::-1]
-    dead.update(from_)
-    return None
+    def _path(self, start: Place, dead: set[int]) -> list[tuple[Place, int]] | None:
+        """Return the moves that lead from counts that are left to an open claim; None if there is no path.
 
+        Args:
+            start: place of the counts.
+            dead: claims that lead to no open one; extended if there is no path.
+        """
+        from_: dict[int, tuple[Place, int | None]] = {}
+        for place, giver, fresh in self._ways_from(start, dead):
+            for at in fresh:
+                from_[at] = place, giver
+                if self._claims[at].open:
+                    path, before = [(place, at)], giver
+                    while before is not None:
+                        path.append((from_[before][0], before))
+                        before = from_[before][1]
+                    return path[::-1]
+        dead.update(from_)
+        return None
 
-def _ways_from(
-    tables: Mapping[tuple[int, PipeKind], _Table], claims: Sequence[Claim], start: Place, dead: set[int]
-) -> Iterator[tuple[Place, int | None, list[int]]]:
-    """Yield the steps that counts can take, breadth of one claim at a time.
+    def _ways_from(self, start: Place, dead: set[int]) -> Iterator[tuple[Place, int | None, list[int]]]:
+        """Yield the steps that counts can take, the latest claim first.
 
-    Each step is a place, the claim that holds its counts (None for counts that are left), and the claims that
-    may get them; each claim is yielded once.
+        Each step is a place, the claim that holds its counts (None for counts that are left), and the claims
+        that may get them; each claim is yielded once.
 
-    Args:
-        dead: claims that are skipped.
-    """
-    todo: list[tuple[Place, int | None]] = [(start, None)]
-    places, reached = set[Place](), set[int]()
-    while todo:
-        place, giver = todo.pop()
-        if place not in places:
-            places.add(place)
-            within = tables[place[0], place[1]].within(place[2])
-            fresh = [at for at in within if at not in reached and at not in dead]
-            reached.update(fresh)
-            yield place, giver, fresh
-            todo += [
-                (other, at) for at in fresh for other in claims[at].assigned if (other[0], other[1]) in tables
-            ]
+        Args:
+            dead: claims that are skipped.
+        """
+        todo: list[tuple[Place, int | None]] = [(start, None)]
+        places, reached = set[Place](), set[int]()
+        while todo:
+            place, giver = todo.pop()
+            if place not in places:
+                places.add(place)
+                within = self.tables[place[:2]].within(place[2])
+                fresh = [at for at in within if at not in reached and at not in dead]
+                reached.update(fresh)
+                yield place, giver, fresh
+                held = ((other, at) for at in fresh for other in self._claims[at].assigned)
+                todo += [(other, at) for other, at in held if other[:2] in self.tables]
 
 
 def shares(number: int, most: Sequence[int]) -> list[int]:
