@@ -25,6 +25,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import TAIL_NS, Loss
+from edoras_tools.diagnosis.case import kept
 from edoras_tools.diagnosis.evidence.copies import crowding, senders_at_once
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner, StateSpan
@@ -205,7 +206,7 @@ def depth_at(case: Case, loss: Loss, queue: queues.Queue) -> int:
     full = any(item.kind == "overflow" and item.hop == loss.hop for item in case.losses)
     if loss.stream is None or not full:
         return queue.depth
-    return min(queue.depth, case.measured_depth(loss.stream, queue.round_ns))
+    return min(queue.depth, case.measured_depth(loss.stream.pipe, queue.round_ns))
 
 
 def _key(loss: Loss) -> tuple[object, ...]:
@@ -214,21 +215,23 @@ def _key(loss: Loss) -> tuple[object, ...]:
 
 def advise(case: Case, loss: Loss) -> Advice:
     """Return the remedy for all losses of a MsgId at a queue; computed once, for the worst of them."""
-    if (key := _key(loss)) not in case.advice:
-        alike = [item for item in case.losses if _key(item) == key]
-        at_output = _at_output(loss)
-        # A remedy for the lowest commanded limit also helps at the other limits.
-        commands = ((limit_command(case, item), item) for item in alike)
-        lowest = (((command.limit if command else 0) or _MOST, item) for command, item in commands)
-        worst = max(lowest, key=lambda pair: (not pair[1].closed, -pair[0], pair[1].lost))[1]
-        advice = (_at_pipe if at_output else _at_application)(case, worst)
-        still = stood_still(case, worst)
-        because = [_other_limits(case, alike, worst) if at_output else crowding_of(case, worst), still]
-        if loss.kind == "socket" and loss.stream and case.is_far(loss.stream.receiver):
-            because.append("what the network lost before it at that time looks alike")
-        advice = replace(advice, why="; ".join([advice.why, *(item for item in because if item)]))
-        case.advice[key] = replace(advice, remedy=LET_RUN, left=None) if still else advice
-    return case.advice[key]
+    return _advice(case, _key(loss))
+
+
+@kept
+def _advice(case: Case, key: tuple[object, ...]) -> Advice:
+    alike = [item for item in case.losses if _key(item) == key]
+    # A remedy for the lowest commanded limit also helps at the other limits.
+    commands = ((limit_command(case, item), item) for item in alike)
+    lowest = (((command.limit if command else 0) or _MOST, item) for command, item in commands)
+    worst = max(lowest, key=lambda pair: (not pair[1].closed, -pair[0], pair[1].lost))[1]
+    at_output, still = _at_output(worst), stood_still(case, worst)
+    advice = (_at_pipe if at_output else _at_application)(case, worst)
+    because = [_other_limits(case, alike, worst) if at_output else crowding_of(case, worst), still]
+    if worst.kind == "socket" and worst.stream and case.is_far(worst.stream.receiver):
+        because.append("what the network lost before it at that time looks alike")
+    advice = replace(advice, why="; ".join([advice.why, *(item for item in because if item)]))
+    return replace(advice, remedy=LET_RUN, left=None) if still else advice
 
 
 def capacity(case: Case, loss: Loss) -> str:
@@ -335,14 +338,14 @@ def _spread(
 
 def published_into(case: Case, stream: Stream) -> Arrivals:
     """Return the arrivals at the pipe that a stream comes from, including the lost messages."""
-    alike = [item for item in case.streams if (item.link, item.sender) == (stream.link, stream.sender)]
-    alike = [item for item in alike if stream.link.only_from_cfs or item.receiver == stream.receiver]
-    case.published |= {item: published_at(case, item) for item in alike if item not in case.published}
-    time_ns = np.concatenate([case.published[item] for item in alike])
-    msg_id = np.concatenate([np.full(len(case.published[item]), item.msg_id, np.int64) for item in alike])
+    alike = [item for item in case.streams if item.pipe == stream.pipe]
+    published = [published_at(case, item) for item in alike]
+    time_ns = np.concatenate(published)
+    msg_id = np.repeat([item.msg_id for item in alike], [*map(len, published)])
     return Arrivals(time_ns, msg_id).take(np.argsort(time_ns, kind="stable"))
 
 
+@kept
 def published_at(case: Case, stream: Stream) -> Integers:
     """Return when each message of a stream was published, including the missing ones, ns: i64 (messages,).
 

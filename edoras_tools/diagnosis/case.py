@@ -4,7 +4,8 @@ Rules:
 
 1. The constructor prepares the rows: in order of time, without the capture's own copies, with set clocks
    corrected. Nothing changes them later.
-2. Every result is computed when it is first asked for, and kept. Only the verdicts and ``advice`` grow.
+2. Every result is computed when it is first asked for, and kept (``cached_property``, ``kept``). Only the
+   verdicts grow.
 3. Messages of a stream are indices into ``Stream.rows``, whose values index ``Case.rows``. Times are
    capture times in ns.
 """
@@ -13,10 +14,10 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
-from functools import cached_property
+from functools import cached_property, wraps
 from ipaddress import ip_address
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, Final, Literal, ParamSpec, TypeVar
 
 import msgspec
 import numpy as np
@@ -63,14 +64,14 @@ from edoras_tools.wire.arrays import Integers, Mask, Places, by_key, by_value, d
 from edoras_tools.wire.sbn import HEADER as SBN_HEADER
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
     from edoras_tools.cfs.profile import SimProfile
     from edoras_tools.diagnosis.accounting.losses import Loss, Outage
     from edoras_tools.diagnosis.evidence.loss_reports import LossEvents, PipeKind, ReportedLoss, Track
     from edoras_tools.diagnosis.evidence.payloads import EventRecord, Payloads
-    from edoras_tools.diagnosis.matching.streams import Comb, Reset, Span, Stream
-    from edoras_tools.diagnosis.verdict import Advice, Verdict
+    from edoras_tools.diagnosis.matching.streams import Comb, PipeEnd, Reset, Span, Stream
+    from edoras_tools.diagnosis.verdict import Verdict
     from edoras_tools.links.doors import LinkEvidence, SampleStream, Unwrapper
     from edoras_tools.mission import Mission, Route
     from edoras_tools.model import CutDatagram, HostCounters, InterfaceOutage
@@ -86,6 +87,21 @@ _FULL: Final = 6
 """So many rounds that lost commands show a limit."""
 _TIME: Final = attrgetter("time_ns")
 OfLink = TypeVar("OfLink")
+Of = ParamSpec("Of")
+Result = TypeVar("Result")
+
+
+def kept(find: Callable[Concatenate[Case, Of], Result]) -> Callable[Concatenate[Case, Of], Result]:
+    """Let a function of a case be asked once for the same arguments: the case keeps its results."""
+
+    @wraps(find)
+    def ask(case: Case, /, *args: Of.args, **named: Of.kwargs) -> Result:
+        results: dict[Any, Result] = case.results.setdefault(find, {})
+        if args not in results:
+            results[args] = find(case, *args, **named)
+        return results[args]
+
+    return ask
 
 
 class Capture(msgspec.Struct, frozen=True):
@@ -164,7 +180,7 @@ class Case:
         proxied: (link, direction, MsgId) to the faults that a proxy injected.
         verdicts: verdicts of the rules that ran so far.
         refused: verdicts about messages that cFS refused because of what they contain.
-        advice: cache of ``diagnosis.advice``, by queue.
+        results: function to its results by arguments, of those that are ``kept``.
         constants: constants of cFS, with those that were learned from the capture.
         quality: upper bounds of the share of datagrams that the capture missed.
         ingests: accounts of CI, one for each CI.
@@ -183,6 +199,7 @@ class Case:
     unreached = cached_property(closed.unreached)
     contents = cached_property(judge_contents)
     ledger = cached_property(MessageLedger)
+    silences_of = kept(closed.silences_of)
 
     def __init__(
         self,
@@ -218,14 +235,7 @@ class Case:
         self.capture = capture
         self.refused: list[Verdict] = []
         self.verdicts: list[Verdict] = []
-        self.advice: dict[tuple[object, ...], Advice] = {}
-        self.published: dict[Stream, Integers] = {}
-        self._owners: dict[Stream, int] = {}
-        self._into: dict[tuple[Stream, int], bool] = {}
-        self._silences: dict[int, list[tuple[int, int]]] = {}
-        self._times: dict[tuple[int, ...], Integers] = {}
-        self._depths: dict[tuple[int, ...], int] = {}
-        self._events: dict[tuple[tuple[str, ...], frozenset[int]], list[EventRecord]] = {}
+        self.results: dict[Any, dict[Any, Any]] = {}
 
     @property
     def profile(self) -> SimProfile:
@@ -525,39 +535,33 @@ class Case:
         times = self.times(stream)
         return comb(times[(times >= span.start_ns) & (times <= span.end_ns)])
 
+    @kept
     def times(self, stream: Stream) -> Integers:
         """Return when a stream's MsgId left its pipe, i64 ns, of all publishers: they share its limit."""
-        if stream.way not in self._times:
-            own = stream.sender, stream.msg_id
-            alike = [
-                item.time_ns
-                for item in self.streams
-                if item.way == stream.way or (item.link.only_from_cfs and (item.sender, item.msg_id) == own)
-            ]
-            self._times[stream.way] = np.sort(np.concatenate(alike))
-        return self._times[stream.way]
+        own = stream.sender, stream.msg_id
+        alike = [
+            item.time_ns
+            for item in self.streams
+            if item.way == stream.way or (item.link.only_from_cfs and (item.sender, item.msg_id) == own)
+        ]
+        return np.sort(np.concatenate(alike))
 
-    def leaving(self, stream: Stream) -> Integers:
-        """Return when packets of any MsgId left the pipe that a stream comes from, i64 ns."""
-        key = -1, stream.link.code, stream.sender, -1 if stream.link.only_from_cfs else stream.receiver
-        if key not in self._times:
-            own = (self.rows.link == stream.link) & (self.rows.source == stream.sender)
-            own &= stream.link.only_from_cfs | (self.rows.destination == stream.receiver)
-            self._times[key] = self.rows.time_ns[own]
-        return self._times[key]
+    @kept
+    def leaving(self, pipe: PipeEnd) -> Integers:
+        """Return when packets of any MsgId left a pipe, i64 ns."""
+        own = (self.rows.link == pipe.link) & (self.rows.source == pipe.sender)
+        own &= (pipe.receiver == NOBODY) | (self.rows.destination == pipe.receiver)
+        return self.rows.time_ns[own]
 
+    @kept
     def arriving(self, receiver: int) -> Integers:
         """Return when datagrams were sent to an endpoint, i64 ns, in order."""
-        if (receiver,) not in self._times:
-            self._times[receiver,] = np.sort(self.rows.time_ns[self.rows.destination == receiver])
-        return self._times[receiver,]
+        return np.sort(self.rows.time_ns[self.rows.destination == receiver])
 
-    def measured_depth(self, stream: Stream, period_ns: int) -> int:
-        """Return the depth of the pipe that a stream comes from, as its largest round shows it."""
-        key = stream.sender, stream.receiver, period_ns
-        if key not in self._depths:
-            self._depths[key] = measured_depth(self.leaving(stream), period_ns)
-        return self._depths[key]
+    @kept
+    def measured_depth(self, pipe: PipeEnd, period_ns: int) -> int:
+        """Return the depth of a pipe, as its largest round shows it."""
+        return measured_depth(self.leaving(pipe), period_ns)
 
     def faults_on(self, stream: Stream) -> Proxied:
         """Return the faults that a proxy injected into a stream's MsgId on its link."""
@@ -581,13 +585,9 @@ class Case:
     def _upstream(self) -> dict[Stream, Hop]:
         return {hop.out: hop for hop in reversed(self.hops) if not hop.rewritten}
 
+    @kept
     def owner(self, stream: Stream) -> int:
         """Return the instance whose pipe a telemetry stream comes out of; ``NOBODY`` if unknown."""
-        if stream not in self._owners:
-            self._owners[stream] = self._find_owner(stream)
-        return self._owners[stream]
-
-    def _find_owner(self, stream: Stream) -> int:
         start_ns = int(stream.time_ns[0])
         if stream.link.only_from_cfs:
             return self.instances.owner(stream.sender, start_ns)
@@ -609,12 +609,11 @@ class Case:
         spacecraft, _, processor = self.network.identity_of.get(stream.receiver, "").partition(":")
         return sbn.peer_pipe(Peer(int(spacecraft), int(processor))) if processor else "pipe of an SBN peer"
 
+    @kept
     def into_system(self, stream: Stream, system: int) -> bool:
         """Return whether a stream into cFS may arrive at a system; True if nothing is known of it."""
-        if (stream, system) not in self._into:
-            members = [at for at, other in enumerate(self.instances.systems) if other == system]
-            self._into[stream, system] = not members or any(self.goes_to(stream, at) for at in members)
-        return self._into[stream, system]
+        members = [at for at, other in enumerate(self.instances.systems) if other == system]
+        return not members or any(self.goes_to(stream, at) for at in members)
 
     def system(self, stream: Stream) -> int:
         """Return the number of the system that a stream into cFS arrives at; 0 if unknown."""
@@ -781,11 +780,14 @@ class Case:
             apps: names of applications; none for all.
             event_ids: numbers of events; none for all.
         """
-        ids = frozenset(event_ids)
-        if (own := self._events.get((apps, ids))) is None:
-            own = [item for item in self.payloads.events if not apps or item.app in apps]
-            own = self._events[apps, ids] = [item for item in own if not ids or item.event_id in ids]
+        own = self._events_of(apps, frozenset(event_ids))
         return own[bisect_left(own, start_ns, key=_TIME) : bisect_right(own, end_ns, key=_TIME)]
+
+    @kept
+    def _events_of(self, apps: tuple[str, ...], ids: frozenset[int]) -> list[EventRecord]:
+        """Return the events of some applications with some numbers; empty ones mean all."""
+        own = (item for item in self.payloads.events if not apps or item.app in apps)
+        return [item for item in own if not ids or item.event_id in ids]
 
     @cached_property
     def _names(self) -> dict[str, str]:
@@ -823,12 +825,6 @@ class Case:
         grown = sum(int(np.diff(samples[name][at])[0]) % 256 for name in ("taken", "refused"))
         alone = grown == len(sent_ns) and sent_ns.min(initial=NEVER) > span[1] - TAIL_NS
         return f"0x880: it took no command from {self.at(since_ns)} until it was enabled" if alone else ""
-
-    def silences_of(self, sender: int) -> list[tuple[int, int]]:
-        """Return the spans, ns, in which the Telemetry Output of an endpoint was silent until enabled."""
-        if sender not in self._silences:
-            self._silences[sender] = closed.silences_of(self, sender)
-        return self._silences[sender]
 
     def span(self, rows: Sequence[int] | Places) -> tuple[int, int]:
         """Return the capture times, ns, of the first and the last of some rows; they are in order of time."""

@@ -324,10 +324,10 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
     ends_ns = own[min(span.last + 1, len(own) - 1)]
     around = span.start_ns - period, ends_ns + 1
     if kind == "overflow":
-        times = case.leaving(stream)
+        times = case.leaving(stream.pipe)
         times = times[slice(*np.searchsorted(times, around))]
         # Part of the pipe's traffic may not be captured: half its depth is taken as full.
-        most_ns = _full(times, period, min(queue.depth // 2, case.measured_depth(stream, period)))
+        most_ns = _full(times, period, min(queue.depth // 2, case.measured_depth(stream.pipe, period)))
         return _beside(most_ns, own[at] - period // 2, own[at + 1], missing[at])
     rounds, clean, times = case.rounds(stream, span), limit, case.times(stream)
     times = times[slice(*np.searchsorted(times, around))]

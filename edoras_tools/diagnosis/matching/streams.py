@@ -45,6 +45,14 @@ _LEAST_ONES: Final = 20
 _MOST_MISSING: Final = 64
 
 
+class PipeEnd(NamedTuple):
+    """The way out of a pipe of cFS: Telemetry Output's, whatever receiver it has, or that of one SBN peer."""
+
+    link: Link
+    sender: int
+    receiver: int
+
+
 class Stream(msgspec.Struct, eq=False, dict=True):
     """The packets of one MsgId on one link, in order of time.
 
@@ -90,6 +98,11 @@ class Stream(msgspec.Struct, eq=False, dict=True):
     def way(self) -> tuple[int, int, int, int]:
         """The path of the packets, whoever published them: code of the link, both endpoints, MsgId."""
         return self.link.code, self.sender, self.receiver, self.msg_id
+
+    @property
+    def pipe(self) -> PipeEnd:
+        """The pipe of cFS that the packets come out of, if they are telemetry."""
+        return PipeEnd(self.link, self.sender, NOBODY if self.link.only_from_cfs else self.receiver)
 
     @property
     def is_command(self) -> bool:
