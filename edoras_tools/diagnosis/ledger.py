@@ -504,7 +504,7 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     if not fate.seen:
         way.add_losses(losses, _BEHIND_BUS)
     way.add_losses(losses, _ON_BUS)
-    for item, number, refused in case.commands.refused_of.get(stream, ()):
+    for item, number, refused in fate.refused:
         _refuse(way, item, number, refused)
     came = 0 if fate.reached is None else fate.reached + fate.ends["unaccounted"] + fate.ends["elsewhere"]
     way.end("shared", max(0, min(fate.ends["shared"], way.left - came)))

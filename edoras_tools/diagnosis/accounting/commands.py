@@ -81,7 +81,6 @@ class Commands:
         losses: losses of messages into cFS.
         unplaced: refusal to the number of its messages that no stream has.
         placed: refusal to the number of its messages that a stream has.
-        refused_of: stream to the refusals of its messages, each with their number, and among which they are.
         relayed: stream to the losses in a relay in front of cFS, both sides of which are captured.
         never_came: stream to the number of its sequence counts that the capture does not have.
         uncaptured: instance to the losses that it counted while the capturing interface was away, and that no
@@ -92,7 +91,6 @@ class Commands:
         self._case, self.telemetry = case, telemetry
         self.losses: list[Loss] = []
         self.unplaced, self.placed = Counter[Verdict](), Counter[Verdict]()
-        self.refused_of: dict[Stream, list[tuple[Verdict, int, Among]]] = {}
         self.relayed: dict[Stream, LostInRelay] = {}
         self.never_came: dict[Stream, int] = {}
         self.fates: dict[Stream | None, Fate] = {
@@ -103,27 +101,54 @@ class Commands:
         fates = list(self.fates.values())
         self._by_packet = by_key(fates, lambda fate: (fate.stream.link.label, fate.stream.msg_id))
         self._spans = {key: _spans(own) for key, own in self._by_packet.items()}
-        # Steps 2 and 3: what was lost before CI, and what cFS refused.
+        self._before_ci, self._pipes = BeforeCi(case, fates, self.losses), Pipes(case, self.losses)
+        self._lose_before_cfs(fates)
+        self._stops = Stops(case, fates)
+        for fate in fates:
+            self._not_taken(fate)
+            self._pass_on(fate)
+            self._pipes.claim(fate)
+        every = [*telemetry.claims, *self._pipes.claims]
+        hold_back(case, every)
+        leftover = Leftover(case, self.fates, self._pipes)
+        shared = self._settle(every, leftover)
+        self._tails = {item.flow: item.explained for item in every if item.rank == claims.Rank.POSSIBLE}
+        """Stream to the number of messages behind its last one that counts explain."""
+        self._lose_counted(fates)
+        self._end(fates, shared)
+        self._leave_rest(fates, every, leftover, shared)
+        self.uncaptured = leftover.uncaptured
+        # What concerns few messages: refusals, streams that can only be compared by number.
+        self._take_back_refused()
+        self._stops.make_uncounted(self.losses, telemetry.losses)
+        self._mark_undecidable(fates)
+        self._number(fates)
+        self._relayed(fates)
+        for fate in fates:
+            if fate.stream.link.peers:
+                self._before_sbn(fate)
+            elif fate.stream.known_id == telemetry_output.COMMAND_MSG_ID:
+                self._commanded(fate)
+
+    def _lose_before_cfs(self, fates: Sequence[Fate]) -> None:
+        """Make losses of what was lost before CI, and of what cFS refused (steps 2 and 3)."""
         for fate in fates:
             self._damaged(fate)
             self._count(fate)
-        for stream in case.streams:
+        for stream in self._case.streams:
             self._astray(stream, self.fates.get(stream))
-        before_ci, pipes = BeforeCi(case, fates, self.losses), Pipes(case, self.losses)
         self._refuse(counted=True)
-        for account in case.ingests:
-            before_ci.share(account)
+        for account in self._case.ingests:
+            self._before_ci.share(account)
         self._refuse(counted=False)
-        # Step 4: what was sent while nobody received it. Step 5: what may have caused counts of the bus.
-        stops = Stops(case, fates)
-        for fate in fates:
-            self._not_taken(fate, stops)
-            self._pass_on(fate)
-            pipes.claim(fate)
-        counts, every = case.loss_counts, [*telemetry.claims, *pipes.claims]
-        hold_back(case, every)
-        # All claims on the counters are settled together: first surely missing messages, then possible ones.
-        leftover = Leftover(case, self.fates, pipes)
+
+    def _settle(self, every: Sequence[Claim], leftover: Leftover) -> list[Shared]:
+        """Settle all claims on the counters (step 5): first surely missing messages, then possible ones.
+
+        Returns:
+            The counts that several kinds of traffic share.
+        """
+        case, counts = self._case, self._case.loss_counts
         leftover.take_reported()
         if case.quality.lacks_answered:
             leftover.exclude_outages()
@@ -134,41 +159,38 @@ class Commands:
         for claim in every:
             open_[claim.flow] += claim.open
         claims.settle_first(counts, every, most_missed(case, open_))
-        self._tails = {item.flow: item.explained for item in every if item.rank == claims.Rank.POSSIBLE}
-        # The counts become losses. What is still missing may be lost where no counter is, or before CI.
-        pipes.make_losses()
-        stops.make_losses()
-        self.losses += stops.losses
+        return shared
+
+    def _lose_counted(self, fates: Sequence[Fate]) -> None:
+        """Turn the counts into losses. What is left may be lost where no counter is, or before CI."""
+        self._pipes.make_losses()
+        self._stops.make_losses()
+        self.losses += self._stops.losses
         for fate in fates:
             self._over_limit(fate)
+        for account in self._case.ingests:
+            self._before_ci.rest(account)
+            self._before_ci.wait(account)
+
+    def _leave_rest(
+        self, fates: Sequence[Fate], every: Sequence[Claim], leftover: Leftover, shared: Sequence[Shared]
+    ) -> None:
+        """Explain counts that are left, now that each message has a fate, by messages that are not captured.
+
+        Then make uncertain what the capture may only have missed (step 8).
+        """
+        case, telemetry, counts = self._case, self.telemetry, self._case.loss_counts
         for account in case.ingests:
-            before_ci.rest(account)
-            before_ci.wait(account)
-        # Steps 6 and 7: every message has a fate now. Counts that are left are of messages not captured.
-        self._end(fates, shared)
-        for account in case.ingests:
-            before_ci.outnumbered(account)
+            self._before_ci.outnumbered(account)
         leftover.share(shared)
         claims.settle_rest(counts, every)
         claims.settle_perhaps_missed(counts, every)
         leftover.make_uncertain(telemetry.claims)
         telemetry.make_losses()
-        before_ci.concede(telemetry.losses)
+        self._before_ci.concede(telemetry.losses)
         self._name([item for item in case.refused if item.by_type])
-        # Step 8, and what concerns few messages: refusals, streams that can only be compared by number.
         make_uncertain(case, telemetry, fates, self.losses)
         leftover.make_losses()
-        self.uncaptured = leftover.uncaptured
-        self._take_back_refused()
-        stops.make_uncounted(self.losses, telemetry.losses)
-        self._mark_undecidable(fates)
-        self._number(fates)
-        self._relayed(fates)
-        for fate in fates:
-            if fate.stream.link.peers:
-                self._before_sbn(fate)
-            elif fate.stream.known_id == telemetry_output.COMMAND_MSG_ID:
-                self._commanded(fate)
 
     def _damaged(self, fate: Fate) -> None:
         """Make losses of messages that came out damaged on their way to a robot.
@@ -303,13 +325,13 @@ class Commands:
             loss.lost, loss.confidence, fate.ends["unaccounted"] = number, "medium", 0
             self.losses.append(loss)
 
-    def _not_taken(self, fate: Fate, stops: Stops) -> None:
+    def _not_taken(self, fate: Fate) -> None:
         """Make losses of messages to a cFS or CI that did not run, or to a closed port."""
         case, stream = self._case, fate.stream
         if stream.link.peers:
             self._down(fate)
         elif fate.seen and stream.link.only_to_cfs:
-            self._uncounted(fate, stops)
+            self._uncounted(fate)
         counted_ns = max((item.last_ns for item in case.ingests_at(stream.receiver)), default=0)
         behind = fate.open & (fate.seen | (stream.time_ns > counted_ns))
         errors, unheard = case.unreachable, case.missed_by_peer(stream)
@@ -321,7 +343,7 @@ class Commands:
         # Losses in front of the application are known now: it may have replaced others.
         fate.newer |= may_give_way(case, fate.hops, fate.open, stream.time_ns)
 
-    def _uncounted(self, fate: Fate, stops: Stops) -> None:
+    def _uncounted(self, fate: Fate) -> None:
         """Mark messages that were sent while CI did not run, if no counts are around that.
 
         They may still claim counts of the bus: CI may have read some after the last one that came out.
@@ -344,7 +366,7 @@ class Commands:
             late |= (times > bounds[hole + 1] - case.profile.ci_wake_ns) & fate.keeps_newest
             fate.end("crowded", inside & late)
             kind: LossKind = "restart" if item.restarted else "ci_stopped"
-            stops.mark(fate, inside, kind, LOST_AT[kind], item.witness)
+            self._stops.mark(fate, inside, kind, LOST_AT[kind], item.witness)
 
     def _over_limit(self, fate: Fate) -> None:
         """Make losses of messages missing behind full rounds only, where no counter was captured."""
@@ -427,9 +449,8 @@ class Commands:
         # The others of that time are lost elsewhere, any of them.
         spread = inside[np.arange(most) * len(inside) // most] if 0 < most < len(inside) else inside[:most]
         if number := fate.claim(spread):
-            fate.refused[item.rule] += number
             self.placed[item] += number
-            self.refused_of.setdefault(fate.stream, []).append((item, number, Among(fate.stream, inside)))
+            fate.refused.append((item, number, Among(fate.stream, inside)))
         return number
 
     def _refuse(self, *, counted: bool) -> None:
@@ -471,13 +492,13 @@ class Commands:
     def _take_back_refused(self) -> None:
         """Take back refusals of messages that a full pipe lost, or may have, before they were refused."""
         unknown = [loss for loss in self.losses if loss.stream is None and loss.kind == "unknown"]
-        for key, placed in self.refused_of.items():
-            fate, at = self.fates[key], np.concatenate([ones.rows for *_, ones in placed])
-            when = fate.stream.time_ns[at]
+        for fate in (item for item in self.fates.values() if item.refused):
+            placed = fate.refused
+            when = fate.stream.time_ns[np.concatenate([ones.rows for *_, ones in placed])]
             near = (loss for loss in unknown if ((when >= loss.start_ns) & (when <= loss.end_ns)).any())
             over = sum(loss.lost for loss in near if self._case.goes_to(fate.stream, loss.instance))
             fate.ends["shared"] += min(over, sum(number for _, number, _ in placed))
-            if own := [loss for loss in self.losses if loss.stream is key and loss.kind in COUNTERS]:
+            if own := [loss for loss in self.losses if loss.stream is fate.stream and loss.kind in COUNTERS]:
                 times = fate.stream.time_ns
                 inside = times >= min(loss.start_ns for loss in own)
                 inside &= times <= max(loss.end_ns for loss in own)
@@ -488,7 +509,6 @@ class Commands:
                 over -= part
                 placed[place] = item, number - part, ones
                 self.placed[item] -= part
-                fate.refused[item.rule] -= part
 
     def _name(self, refused: Sequence[Verdict]) -> None:
         """Give a cause to unaccounted messages that do not fit the types of the mission.
@@ -596,7 +616,9 @@ class Commands:
     def _without_fate(self, fate: Fate) -> int:
         """Return how many messages of a stream have no fate."""
         lost = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
-        others = fate.refused.total() + sum(fate.ends[how] for how in ("queued", "crowded", "late"))
+        others = sum(number for _, number, _ in fate.refused) + sum(
+            fate.ends[how] for how in ("queued", "crowded", "late")
+        )
         return max(0, len(fate.stream) - lost - others)
 
     def _number(self, fates: Sequence[Fate]) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.matching.crossing import Hop
     from edoras_tools.diagnosis.matching.streams import Span, Stream
-    from edoras_tools.diagnosis.verdict import Confidence
+    from edoras_tools.diagnosis.verdict import Confidence, Verdict
     from edoras_tools.wire.arrays import Integers, Mask, Places
 
 IngestKind = Literal["network", "socket", "sbn_socket", "down", "restart", "ci_stopped", "port_closed"]
@@ -220,7 +220,7 @@ class Fate:
         blind: bool (rows,), it has no fingerprint by which its output could be recognised.
         unseen: bool (rows,), it may have come out while nothing was captured.
         ends: number of messages by their end, for messages in no loss.
-        refused: rule to the number of messages that cFS refused for what they contain.
+        refused: messages that cFS refused for what they contain: verdict, number, and candidates.
         undecidable: bool (rows,), it was sent after the capture could no longer show its fate; None for none.
         undecidable_since: fact from which on that is so, as text.
         stops: outages of the application that surely reads them, if its way out is not captured.
@@ -244,7 +244,7 @@ class Fate:
     blind: Mask
     unseen: Mask
     ends: Counter[End] = field(default_factory=Counter)
-    refused: Counter[str] = field(default_factory=Counter)
+    refused: list[tuple[Verdict, int, Among]] = field(default_factory=list)
     counted_in_stop: Counter[int] = field(default_factory=Counter)
     undecidable: Mask | None = None
     undecidable_since: str = ""
