@@ -21,7 +21,7 @@ from edoras_tools.diagnosis.accounting.losses import Among
 from edoras_tools.diagnosis.ledger import LedgerEntry
 from edoras_tools.model import NO_MSG_ID
 from edoras_tools.sessions.sequence import MODULUS
-from edoras_tools.wire.arrays import Integers, Places, distinct, numbered
+from edoras_tools.wire.arrays import Integers, Places, distinct, numbered, places_within
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -128,10 +128,7 @@ def _units(among: Among) -> Integers:
     base = among.rows.astype(np.int64) * _ROOM
     if among.missing is None:
         return base
-    within = np.arange(int(among.missing.sum())) - np.repeat(
-        np.cumsum(among.missing) - among.missing, among.missing
-    )
-    return np.asarray(np.repeat(base, among.missing) + within)
+    return np.asarray(np.repeat(base, among.missing) + places_within(among.missing))
 
 
 def _connected(units: Sequence[Integers]) -> Places:

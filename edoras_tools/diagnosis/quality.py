@@ -53,7 +53,7 @@ import numpy as np
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.model import Finding
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays import by_key, by_value, distinct, groups, numbered
+from edoras_tools.wire.arrays import by_key, by_value, distinct, groups, numbered, places_within
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -359,10 +359,9 @@ def _sequence_counts(case: Case) -> Iterator[Evidence]:
         made_ns, missing = instances.made_ns[own], stream.missing[:-1]
         few = np.flatnonzero(missing <= _MOST_MISSING)
         steps = missing[few] + 1
-        of, last = np.repeat(few, steps), np.cumsum(steps) - 1
-        place = np.arange(len(of)) - np.repeat(last - steps + 1, steps) + 1
-        when = made_ns[of] + (made_ns[of + 1] - made_ns[of]) * place // np.repeat(steps, steps)
-        absent = place < np.repeat(steps, steps)
+        of, place, whole = np.repeat(few, steps), places_within(steps) + 1, np.repeat(steps, steps)
+        when = made_ns[of] + (made_ns[of + 1] - made_ns[of]) * place // whole
+        absent = place < whole
         start_ns, end_ns = when - _ROUNDS_NS, when + _ROUNDS_NS
         usable = _quiet(track, start_ns, end_ns) & ~overlapping(start_ns, end_ns, case.all_holes)
         sender = int(instances.hosts[case.rows.source[own[0]]])
@@ -428,7 +427,7 @@ def least_runs(case: Case, streams: Sequence[Stream]) -> int:
         points = np.minimum(stream.missing[at], (end - start) // round_ns + 1)
         of = np.repeat(np.arange(len(at)), points)
         step = ((end - start) // (points + 1))[of]
-        due = start[of] + step * (np.arange(len(of)) - np.repeat(np.cumsum(points) - points, points) + 1)
+        due = start[of] + step * (places_within(points) + 1)
         slack = np.where(points[of] > 1, round_ns, step)
         spans.append(np.stack((np.maximum(start[of], due - slack), np.minimum(end[of], due + slack))))
     low, high = np.concatenate(spans, axis=1)

@@ -392,6 +392,11 @@ def groups(values: NDArray[Any], rows: Places) -> Iterator[tuple[int, Places]]:
         yield value, rows[at]
 
 
+def places_within(sizes: Integers) -> Integers:
+    """Return the place of each element within its group, for groups of some sizes: 0, 1, 0, 1, 2 for 2, 3."""
+    return np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+
+
 def by_key(items: Iterable[_Item], key: Callable[[_Item], _Key]) -> dict[_Key, list[_Item]]:
     """Group items by key; keys and items are in their original order."""
     groups: dict[_Key, list[_Item]] = {}

@@ -30,6 +30,9 @@ from edoras_tools.wire.arrays import Integers, Mask, Places, by_value, numbered
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    Counters = Mapping[int, "Counts"]
+    """cFS instance to its counters."""
+
 
 class Rank(IntEnum):
     """The order in which claims are served. A lower rank has better evidence for its messages."""
@@ -63,6 +66,8 @@ FAR_NS: Final = 10 * SECOND
 _BOOTS_NS: Final = LEAD_NS + SECOND
 """The time of a boot is known to about a second: it may count messages sent this long before it."""
 BEFORE: Final = -1
+CounterKey = tuple[int, PipeKind]
+"""A counter: cFS instance, and kind."""
 Place = tuple[int, PipeKind, int]
 """Place of a count: cFS instance, counter, index of the second; ``BEFORE`` for the first sample."""
 
@@ -174,15 +179,15 @@ class Claim(msgspec.Struct):
         if not self.assigned[place]:
             del self.assigned[place]
 
-    def by_kind(self) -> dict[tuple[int, PipeKind], int]:
+    def by_kind(self) -> dict[CounterKey, int]:
         """Return the assigned counts by instance and kind."""
-        counts: dict[tuple[int, PipeKind], int] = {}
+        counts: dict[CounterKey, int] = {}
         for (instance, kind, _), number in self.assigned.items():
             counts[instance, kind] = counts.get((instance, kind), 0) + number
         return counts
 
 
-def settle(counts: Mapping[int, Counts], claims: Sequence[Claim], slack_ns: int = 0) -> None:
+def settle(counts: Counters, claims: Sequence[Claim], slack_ns: int = 0) -> None:
     """Assign counts to claims, rank after rank, until no more can be assigned.
 
     Each count goes to the open claims whose interval contains it, in proportion to what is open. Then counts
@@ -250,9 +255,7 @@ class Shared(msgspec.Struct):
         self.start_ns, self.end_ns = min(self.start_ns, span[0]), max(self.end_ns, span[1])
 
 
-def settle_known(
-    counts: Mapping[int, Counts], claims: Sequence[Claim], rivals: Sequence[Rival]
-) -> list[Shared]:
+def settle_known(counts: Counters, claims: Sequence[Claim], rivals: Sequence[Rival]) -> list[Shared]:
     """Assign counts to messages that are surely missing, then to messages that may be.
 
     Args:
@@ -293,7 +296,7 @@ def hand_on(
         table.left[place[2]] += rest
 
 
-def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: dict[Hashable, int]) -> None:
+def settle_first(counts: Counters, claims: Sequence[Claim], missed: dict[Hashable, int]) -> None:
     """Assign the value of a first sample to messages that were sent before it, and are surely lost at a pipe.
 
     Args:
@@ -314,12 +317,12 @@ def settle_first(counts: Mapping[int, Counts], claims: Sequence[Claim], missed: 
                 first[kind] -= number
 
 
-def settle_rest(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
+def settle_rest(counts: Counters, claims: Sequence[Claim]) -> None:
     """Assign what is left to messages that are missing by their sequence count, with no full pipe."""
     settle(counts, [claim for claim in claims if claim.rank == Rank.MISSING], _APART_NS)
 
 
-def settle_perhaps_missed(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> None:
+def settle_perhaps_missed(counts: Counters, claims: Sequence[Claim]) -> None:
     """Assign what is left to messages that the capture may have missed: a count proves them lost."""
     for claim in claims:
         claim.number, claim.perhaps_missed = claim.number + claim.perhaps_missed, 0
@@ -327,9 +330,7 @@ def settle_perhaps_missed(counts: Mapping[int, Counts], claims: Sequence[Claim])
     settle(counts, [claim for claim in claims if claim.rank == Rank.MISSING], FAR_NS)
 
 
-def settle_possible(
-    counts: Mapping[int, Counts], claims: Sequence[Claim], rivals: Sequence[Rival] = ()
-) -> list[Shared]:
+def settle_possible(counts: Counters, claims: Sequence[Claim], rivals: Sequence[Rival] = ()) -> list[Shared]:
     """Assign what is left to messages that may be lost, where only one kind of traffic can have caused it.
 
     A count that a surely missing message may have caused proves no other loss, so those are served before
@@ -366,7 +367,7 @@ def settle_possible(
     return list(shared.values())
 
 
-def take_back(counts: Mapping[int, Counts], claims: Sequence[Claim], others: Sequence[Claim]) -> list[int]:
+def take_back(counts: Counters, claims: Sequence[Claim], others: Sequence[Claim]) -> list[int]:
     """Take counts from claims that other messages may have caused as well.
 
     Args:
@@ -391,7 +392,7 @@ def take_back(counts: Mapping[int, Counts], claims: Sequence[Claim], others: Seq
     return numbers
 
 
-def share_open(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Shared]:
+def share_open(counts: Counters, claims: Sequence[Claim]) -> list[Shared]:
     """Take back from each traffic those counts that unexplained messages of other traffic may have caused.
 
     A traffic keeps only the counts that all others together cannot have caused.
@@ -406,7 +407,7 @@ def share_open(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Sh
     open_ = {claim.flow for claim in claims if claim.open}
     flows = dict.fromkeys(claim.flow for claim in claims if claim.assigned and open_ - {claim.flow})
     trials = [(flow, *_others(counts, claims, flow)) for flow in flows]
-    shared: dict[tuple[int, PipeKind], Shared] = {}
+    shared: dict[CounterKey, Shared] = {}
     for flow, places, takers in trials:
         for item in (item for item in claims if item.flow == flow):
             for place in [place for place in item.assigned if place in places]:
@@ -423,7 +424,7 @@ def share_open(counts: Mapping[int, Counts], claims: Sequence[Claim]) -> list[Sh
 
 
 def _others(
-    counts: Mapping[int, Counts], claims: Sequence[Claim], flow: Hashable
+    counts: Counters, claims: Sequence[Claim], flow: Hashable
 ) -> tuple[Counter[Place], list[tuple[Claim, int]]]:
     """Return the counts of one traffic that others may have caused, and the claims that would take them."""
     rest = {
@@ -452,7 +453,7 @@ class _Table:
     """
 
     def __init__(
-        self, of: tuple[int, PipeKind], own: Counts, claims: Sequence[Claim], slack_ns: int, asking: list[int]
+        self, of: CounterKey, own: Counts, claims: Sequence[Claim], slack_ns: int, asking: list[int]
     ) -> None:
         self.instance, self.kind = of
         self.left, self._claims, self.asking = own.left[self.kind], claims, asking
@@ -558,14 +559,10 @@ class _Market:
     """
 
     def __init__(
-        self,
-        counts: Mapping[int, Counts],
-        claims: Sequence[Claim],
-        slack_ns: int = 0,
-        kinds: int = len(COUNTERS),
+        self, counts: Counters, claims: Sequence[Claim], slack_ns: int = 0, kinds: int = len(COUNTERS)
     ) -> None:
         self._claims = claims
-        self.tables: dict[tuple[int, PipeKind], _Table] = {}
+        self.tables: dict[CounterKey, _Table] = {}
         used = {place[:2] for claim in claims for place in claim.assigned}
         low, high = np.array([(claim.low_ns, claim.high_ns) for claim in claims], np.int64).reshape(-1, 2).T
         for at, own in counts.items():

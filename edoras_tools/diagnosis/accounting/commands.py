@@ -114,7 +114,15 @@ class Commands:
         shared = self._settle(every, leftover)
         self._tails = {item.flow: item.explained for item in every if item.rank == claims.Rank.POSSIBLE}
         """Stream to the number of messages behind its last one that counts explain."""
-        self._lose_counted(fates)
+        # The counts become losses. What is still missing may be lost where no counter is, or before CI.
+        self._pipes.make_losses()
+        self._stops.make_losses()
+        self.losses += self._stops.losses
+        for fate in fates:
+            self._over_limit(fate)
+        for account in case.ingests:
+            self._before_ci.rest(account)
+            self._before_ci.wait(account)
         self._end(fates, shared)
         self._leave_rest(fates, every, leftover, shared)
         self.uncaptured = leftover.uncaptured
@@ -160,17 +168,6 @@ class Commands:
             open_[claim.flow] += claim.open
         claims.settle_first(counts, every, most_missed(case, open_))
         return shared
-
-    def _lose_counted(self, fates: Sequence[Fate]) -> None:
-        """Turn the counts into losses. What is left may be lost where no counter is, or before CI."""
-        self._pipes.make_losses()
-        self._stops.make_losses()
-        self.losses += self._stops.losses
-        for fate in fates:
-            self._over_limit(fate)
-        for account in self._case.ingests:
-            self._before_ci.rest(account)
-            self._before_ci.wait(account)
 
     def _leave_rest(
         self, fates: Sequence[Fate], every: Sequence[Claim], leftover: Leftover, shared: Sequence[Shared]

@@ -881,9 +881,7 @@ class BeforeCi:
     @staticmethod
     def _make_uncertain(may: Sequence[_May], number: int) -> None:
         """Make the first ``number`` of messages that may be lost uncertain."""
-        windows = [np.flatnonzero(own) for _, own in may]
-        most = [len(inside) for inside in windows]
-        for (fate, _), inside, share in zip(may, windows, shares(number, most), strict=True):
+        for fate, inside, share in _divided(number, may):
             fate.ends["crowded"] += fate.claim(inside[:share])
 
     def _to(self, account: Ingest) -> list[Fate]:
@@ -979,19 +977,16 @@ class BeforeCi:
             number: upper bound.
             evidence: lines that show it.
         """
-        windows = [np.flatnonzero(own) for _, own in may]
-        most = [len(inside) for inside in windows]
-        parts = shares(number, most)
-        for (fate, _), inside, share in zip(may, windows, parts, strict=True):
-            if not share:
-                continue
+        done = 0
+        for fate, inside, share in _divided(number, may):
             # Messages after the last one that came out cannot have been superseded.
             last = int(np.flatnonzero(fate.arrived)[-1]) if fate.arrived.any() else inside[-1]
             sure = inside[(inside > last) | (fate.keeps_newest & ~fate.newer[inside])][:share]
             rows = np.union1d(sure, _spread_evenly(np.setdiff1d(inside, sure), share - len(sure)))
             fate.claim(rows)
             self.losses.append(fate.loss(loss.cause, rows, evidence, among=inside))
-        return sum(parts)
+            done += share
+        return done
 
     def outnumbered(self, account: Ingest) -> None:
         """Make losses before CI of messages that did not come out and that CI cannot have read (rule 10)."""
@@ -1058,6 +1053,13 @@ class BeforeCi:
             fate.ends["crowded"] += beyond
             fate.open &= ~waiting
             fate.waits &= ~waiting
+
+
+def _divided(number: int, may: Sequence[_May]) -> Iterator[tuple[Fate, Places, int]]:
+    """Yield streams with the messages that may be lost, and how many of ``number`` are of each: not 0."""
+    windows = [np.flatnonzero(own) for _, own in may]
+    parts = shares(number, [len(inside) for inside in windows])
+    yield from ((fate, own, part) for (fate, _), own, part in zip(may, windows, parts, strict=True) if part)
 
 
 def _evidence(account: Ingest, loss: IngestLoss) -> list[str]:

@@ -29,6 +29,7 @@ from edoras_tools.cfs.software_bus import STOPS_AFTER
 from edoras_tools.diagnosis.accounting.claims import (
     BEFORE,
     Claim,
+    CounterKey,
     Counts,
     Rank,
     Rival,
@@ -195,14 +196,14 @@ class Pipes:
                 own.fate.counted_in_stop[int(own.fate.stop[own.rows[0]])] += claim.explained
                 continue
             cut = own.fate.stream.spans[own.span]
-            for (instance, kind), number in claim.by_kind().items():
-                first, among = (instance, kind, BEFORE) in claim.assigned, own.rows[:0]
-                group = own.fate.stream, own.span, own.standing, instance, kind
+            for counter, number in claim.by_kind().items():
+                first, rows = (*counter, BEFORE) in claim.assigned, own.rows[:0]
+                group = own.fate.stream, own.span, own.standing, counter
                 if group not in groups:  # its first claim shows the messages of all
                     rows = np.arange(cut.first, cut.last + 1)
-                    among = rows[_standing(own.fate)[own.standing][rows]]
+                    rows = rows[_standing(own.fate)[own.standing][rows]]
                     groups.add(group)
-                self.add_loss(own.fate.stream, cut, kind, number, instance, among, first=first)
+                self.add_loss(Among(own.fate.stream, rows), cut, counter, number, first=first)
                 places = own.rows[at : at + number]
                 own.fate.open[places] = own.fate.waits[places] = own.fate.blind[places] = False
                 at += number
@@ -221,34 +222,23 @@ class Pipes:
         wakes = 1 + int(np.searchsorted(times, went_ns)) // profile.ci_datagrams_per_wake
         return out_ns - wakes * profile.ci_wake_ns - LEAD_NS
 
-    def add_loss(
-        self,
-        stream: Stream,
-        cut: Span,
-        kind: PipeKind,
-        number: int,
-        instance: int,
-        among: Places,
-        *,
-        first: bool = False,
-    ) -> None:
+    def add_loss(self, among: Among, cut: Span, at: CounterKey, number: int, *, first: bool = False) -> None:
         """Add messages to the loss at a pipe in one span of a stream.
 
         Args:
-            stream: their stream.
+            among: candidates: messages of the stream, of which they are some.
             cut: the span.
-            kind: counter that counted them.
+            at: counter that counted them.
             number: number of messages.
-            instance: cFS that counted them.
-            among: indices of the messages that they are some of.
             first: the first 0x803 of the capture had already counted some of them.
         """
+        stream, (instance, kind) = among.stream, at
         key = stream, kind, instance, cut
         if (loss := self._same.get(key)) is not None:
             loss.lost += number
-            if len(among):
-                before = loss.among.rows if loss.among else among[:0]
-                loss.among = Among(stream, distinct(np.concatenate((before, among))))
+            if len(among.rows):
+                before = loss.among.rows if loss.among else among.rows[:0]
+                loss.among = Among(stream, distinct(np.concatenate((before, among.rows))))
             return
         reported, report = self._from_events(stream, kind, instance)
         evidence = [f"0x803: {COUNTER_NAMES[kind]} counts them{_FIRST if first else ''}"]
@@ -263,7 +253,7 @@ class Pipes:
             evidence.append("no event names it: suppressed, filtered, or lost itself")
         sure: Confidence = "high" if reported else "medium"
         loss = Loss(kind, hop, number, cut.start_ns, cut.end_ns, sure, instance, stream.msg_id, stream, cut)
-        loss.of, loss.evidence, loss.sender, loss.among = cut.count, evidence, sender, Among(stream, among)
+        loss.of, loss.evidence, loss.sender, loss.among = cut.count, evidence, sender, among
         self._same[key] = loss
         self.losses.append(loss)
 
@@ -854,7 +844,7 @@ class Leftover:
         return next((item for item in mine if item.start_ns <= time_ns < item.ended_ns), None)
 
     def _make_loss(
-        self, item: _Candidate, spans: range, at: tuple[int, PipeKind], number: int, times: tuple[int, int]
+        self, item: _Candidate, spans: range, at: CounterKey, number: int, times: tuple[int, int]
     ) -> None:
         instance, kind = at
         cut = item.spans[spans[-1]] if item.spans else None
@@ -867,7 +857,7 @@ class Leftover:
                 fate.followed += max(0, number - int((~fate.undecidable[rows]).sum()))
             among = Among(item.stream, rows if fate is None else rows[fate.open[rows]])
             if item.events is not None and not ended:
-                self._pipes.add_loss(item.stream, cut, kind, number, instance, among.rows)
+                self._pipes.add_loss(among, cut, at, number)
                 return
         text = f"0x803: {COUNTER_NAMES[kind]} +{number:,} that nothing else explains"
         evidence = [text, "no event names it: suppressed, filtered, or lost itself"]

@@ -20,13 +20,7 @@ import numpy as np
 
 from edoras_tools.cfs.executive_services import SCHEDULERS
 from edoras_tools.diagnosis.evidence.instances import NOBODY, Instances
-from edoras_tools.diagnosis.evidence.timeline.table import (
-    NOT_RUNNING,
-    Change,
-    StateOwner,
-    Timeline,
-    Way,
-)
+from edoras_tools.diagnosis.evidence.timeline.table import NOT_RUNNING, Change, StateOwner, Timeline, Way
 from edoras_tools.units import SECOND
 from edoras_tools.wire.cfe import EVENT_MSG_ID
 

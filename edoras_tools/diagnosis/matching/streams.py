@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from edoras_tools.diagnosis.evidence.table import Rows
-    from edoras_tools.wire.arrays import Integers
+    from edoras_tools.wire.arrays import Integers, Mask, Places
 
 
 _PAUSE_NS: Final = 2 * SECOND
@@ -83,12 +83,12 @@ class Stream(msgspec.Struct, eq=False, dict=True):
     processor: tuple[int, int]
     instance: int
     route: int
-    rows: NDArray[np.intp]
-    time_ns: NDArray[np.int64]
+    rows: Places
+    time_ns: Integers
     counted: bool
-    missing: NDArray[np.int64]
-    pauses: NDArray[np.bool_]
-    repeats: NDArray[np.bool_]
+    missing: Integers
+    pauses: Mask
+    repeats: Mask
     gaps: int = 0
     reordered: int = 0
     restarts: int = 0
@@ -120,7 +120,7 @@ class Stream(msgspec.Struct, eq=False, dict=True):
         return int(self.repeats.sum())
 
     @property
-    def counts(self) -> NDArray[np.int64]:
+    def counts(self) -> Integers:
         """Number of messages that each row stands for, i64 (rows,): itself and those missing behind it."""
         return np.append(self.missing[:-1], 0) + ~self.repeats
 
@@ -236,7 +236,7 @@ def _whole(rows: Rows, instances: Instances) -> NDArray[np.int32]:
     return out
 
 
-def _handed_on(rows: Rows, lost: NDArray[np.intp], out: NDArray[np.int32]) -> NDArray[np.intp]:
+def _handed_on(rows: Rows, lost: Places, out: NDArray[np.int32]) -> Places:
     """Assign packets of Telemetry Output to the instance that sent equal ones over SBN; return the rest.
 
     Args:
@@ -258,12 +258,7 @@ def _handed_on(rows: Rows, lost: NDArray[np.intp], out: NDArray[np.int32]) -> ND
 
 
 def _nearest(
-    rows: Rows,
-    lost: NDArray[np.intp],
-    timed: NDArray[np.intp],
-    instance: NDArray[np.int32],
-    *,
-    by_count: bool,
+    rows: Rows, lost: Places, timed: Places, instance: NDArray[np.int32], *, by_count: bool
 ) -> NDArray[np.int32]:
     best = np.full(len(lost), np.iinfo(np.int64).max)
     out = np.full(len(lost), NOBODY, np.int32)
@@ -282,9 +277,7 @@ def _nearest(
     return out
 
 
-def _stream(
-    rows: Rows, members: NDArray[np.intp], instance: NDArray[np.int32], behind: NDArray[np.intp]
-) -> Stream:
+def _stream(rows: Rows, members: Places, instance: NDArray[np.int32], behind: Places) -> Stream:
     """Return the stream of some rows.
 
     Args:
@@ -328,7 +321,7 @@ def _stream(
     )
 
 
-def _count_moves(rows: Rows, members: NDArray[np.intp], missing: NDArray[np.int32]) -> None:
+def _count_moves(rows: Rows, members: Places, missing: NDArray[np.int32]) -> None:
     """Set ``missing`` at the rows where a stream moves to another port.
 
     Sequence counts are followed for each port. When Telemetry Output restarts, the counts go on elsewhere.
@@ -368,7 +361,7 @@ def counted_gaps(rows: Rows, stream: Stream) -> Integers:
     return missing
 
 
-def _pauses(times: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _pauses(times: Integers) -> Mask:
     """Return after which rows a stream paused, bool (rows,): for far longer than its usual steps."""
     steps = np.diff(times)
     out = np.zeros(len(times), bool)
@@ -431,7 +424,7 @@ class Span(msgspec.Struct, frozen=True):
         return rate_hz(self.count + self.missing, self.end_ns - self.start_ns)
 
 
-def _changes(times: NDArray[np.int64], counts: NDArray[np.int64]) -> list[int]:
+def _changes(times: Integers, counts: Integers) -> list[int]:
     """Return the rows at which another rate begins, judged by whole seconds.
 
     Args:
@@ -463,7 +456,7 @@ def _changes(times: NDArray[np.int64], counts: NDArray[np.int64]) -> list[int]:
     return [cut for cut in cuts if 0 < cut < len(times)]
 
 
-def steady_rate(times: NDArray[np.int64], missing: int = 0) -> float | None:
+def steady_rate(times: Integers, missing: int = 0) -> float | None:
     """Return the rate of messages in Hz if it is steady; else None.
 
     Args:
@@ -497,13 +490,13 @@ class Comb(NamedTuple):
     share: float
 
 
-def bursts(times: NDArray[np.int64], pause_ns: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def bursts(times: Integers, pause_ns: int) -> tuple[Places, Places]:
     """Return the first message and the size of each burst, both intp; a longer pause separates two bursts."""
     begins = np.flatnonzero(np.diff(times, prepend=times[:1] - 2 * pause_ns) > pause_ns)
     return begins, np.diff(np.append(begins, len(times)))
 
 
-def comb(times: NDArray[np.int64]) -> Comb:
+def comb(times: Integers) -> Comb:
     """Return the rounds in which messages arrive.
 
     Args:
@@ -517,7 +510,7 @@ def comb(times: NDArray[np.int64]) -> Comb:
     return Comb(period, max(most, 1), np.count_nonzero(sizes >= most) / max(len(sizes), 1))
 
 
-def full_where_lacking(times: NDArray[np.int64], missing: NDArray[np.int64], most: int) -> bool:
+def full_where_lacking(times: Integers, missing: Integers, most: int) -> bool:
     """Return whether the rounds with missing messages are full, as a limit on waiting messages makes them.
 
     No round may be larger than a full one, except for the few messages that arrived during it.
@@ -533,7 +526,7 @@ def full_where_lacking(times: NDArray[np.int64], missing: NDArray[np.int64], mos
     return bool(is_most and len(lacking) >= _LEAST_FULL and np.median(sizes[lacking]) >= most)
 
 
-def full_rounds(times: NDArray[np.int64], missing: NDArray[np.int64], period_ns: int) -> int:
+def full_rounds(times: Integers, missing: Integers, period_ns: int) -> int:
     """Return the number of messages in a round before the first missing one; 0 if that may be chance.
 
     This shows a limit without its counter: a network or the capture would lose messages anywhere in a round.
