@@ -152,8 +152,7 @@ def installed(kind: str) -> list[Addition]:
 
 def find(kind: str, name: str) -> Addition | None:
     """Return the addition with a name, an add-on's before a package's; None if there is none."""
-    addition = shipped(kind).get(name)
-    return addition or next((item for item in installed(kind) if item.name == name), None)
+    return shipped(kind).get(name) or next((item for item in installed(kind) if item.name == name), None)
 
 
 def part(name: str) -> Any:

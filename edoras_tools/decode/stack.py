@@ -182,14 +182,12 @@ class _Dissection(Reading):
         if commands is None:
             return
         command = commands.get(code)
+        # Its lengths are those with the usual header.
+        length = len(self.data) - start - self.headers.command_bytes + cfe.COMMAND_HEADER_BYTES
         if command is None:
             self.findings |= model.Finding.UNKNOWN_FUNCTION_CODE
-        elif command.lengths and self._as_standard(len(self.data) - start) not in command.lengths:
+        elif command.lengths and length not in command.lengths:
             self.findings |= model.Finding.COMMAND_LENGTH
-
-    def _as_standard(self, length: int) -> int:
-        """Return the length that a command has with the usual header."""
-        return length - self.headers.command_bytes + cfe.COMMAND_HEADER_BYTES
 
     def _payload(self, msg_id: int, start: int, header: int, code: int | None) -> None:
         """Read the payload after the cFE header: an event, housekeeping, or a route's envelope."""

@@ -91,8 +91,7 @@ def _command_text(decoded: Decoded, msg_ids: MsgIds) -> str:
 
 def _unit_of(decoded: Decoded) -> LinkProtocol | None:
     """Return the link whose unit a packet holds; None if it holds none."""
-    own = (link for link in links() if link.in_packets and decoded.layer(link.layouts[0].name))
-    return next(own, None)
+    return next((link for link in links() if link.in_packets and decoded.layer(link.layouts[0].name)), None)
 
 
 @lru_cache(maxsize=4096)

@@ -577,12 +577,9 @@ class Case:
             for stream in self.streams
         )
 
-    def upstream(self, stream: Stream) -> Hop | None:
-        """Return the hop that feeds a stream with unchanged packets; None if there is none."""
-        return self._upstream.get(stream)
-
     @cached_property
-    def _upstream(self) -> dict[Stream, Hop]:
+    def upstream(self) -> dict[Stream, Hop]:
+        """Stream to the hop that feeds it with unchanged packets, if there is one."""
         return {hop.out: hop for hop in reversed(self.hops) if not hop.rewritten}
 
     @kept

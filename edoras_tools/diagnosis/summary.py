@@ -390,8 +390,7 @@ def _lost(result: Diagnosis, proven: int) -> str:
         if proven == of:
             return f"None of the {of:,} {name} {noun} arrived{whole}."
         return f"{_share(proven, of, noun)} never arrived{whole}: {proven:,} of {of:,} {name} {were} lost."
-    parts = _parts(result, rows)
-    return f"{proven:,} {noun} {were} lost: {', '.join(parts) or _names(result, rows)}."
+    return f"{proven:,} {noun} {were} lost: {', '.join(_parts(result, rows)) or _names(result, rows)}."
 
 
 def _parts(result: Diagnosis, rows: Sequence[Row]) -> list[str]:

@@ -68,11 +68,6 @@ class RecordingOptions(msgspec.Struct, frozen=True):
     apart: Any = None
 
     @property
-    def is_part(self) -> bool:
-        """Whether a file may contain only a part of the datagrams."""
-        return self.splits or bool(self.filter)
-
-    @property
     def splits(self) -> bool:
         """Whether the recording is written in parts."""
         return bool(self.split_bytes or self.split_ns or self.split_count)

@@ -21,7 +21,7 @@ import struct
 from ast import literal_eval
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn
 
@@ -364,7 +364,8 @@ class Library:
             ConfigError: the definition was found and has mistakes.
         """
         if name not in self._found and TYPE_NAME.fullmatch(name):
-            by = self._from_files, self._from_schemas, self._from_package, self._from_distro, self._sourced
+            own, sourced = partial(_read_if_there, folder=OWN), self._sourced
+            by = self._from_files, self._from_schemas, own, self._from_distro, sourced
             if definition := next(filter(None, (find(name) for find in by)), None):
                 self._found[name] = definition
         return self._found.get(name)
@@ -384,9 +385,6 @@ class Library:
             return None
         label, section = self._sections[name]
         return parse_definition(name, section.text, label, section.line)
-
-    def _from_package(self, name: str) -> Definition | None:
-        return _read_if_there(name, OWN)
 
     def _from_distro(self, name: str) -> Definition | None:
         text = self._standard.get(name)

@@ -548,8 +548,7 @@ class MessageFieldFinder:
             path = f"{path}.{single}"
         if len(indices) > 1 and any(index is not None for index in indices):
             return None
-        index = indices[0] if indices else None
-        return partial(field_series, messages, path, index)
+        return partial(field_series, messages, path, indices[0] if indices else None)
 
     def _single(self, name: str) -> str:
         """Return the path of a value that each message of a type has exactly once; empty if there is none."""

@@ -231,7 +231,7 @@ class Telemetry:
     def _claim(self, stream: Stream) -> None:
         """Divide the missing messages of a stream into parts, and add their claims."""
         case = self._case
-        hop = case.upstream(stream)
+        hop = case.upstream.get(stream)
         gaps = self._missing(stream) if hop is None else self._not_handed_on(stream, hop)
         if hop is None and not (stream.counted and len(gaps.at)):
             return
@@ -377,7 +377,7 @@ class Telemetry:
         for cut in routes_cut(case, stream):
             if cut.overlaps(span.start_ns, span.end_ns):
                 return "route", case.pipe_of(stream), cut.change.witness
-        followed = case.upstream(stream) is not None or any(hop.out is stream for hop in case.hops)
+        followed = stream in case.upstream or any(hop.out is stream for hop in case.hops)
         own = stream.link.only_from_cfs and not stream.is_housekeeping
         alone = not followed if stream.link.peers else own
         way = Way(stream.msg_id, stream.link, case.system(stream))
@@ -496,7 +496,7 @@ class Telemetry:
         for cause, number in part.assigned.items():
             if number:
                 self._lose(part, cause, number, of, "high").uncounted = more * (cause == likeliest)
-        hop = self._case.upstream(part.stream)
+        hop = self._case.upstream.get(part.stream)
         if rest <= 0 or (hop is not None and hop.is_copy):  # a copy of a command may be lost before the bus
             return
         is_counted = part.owner in self._counts
@@ -527,7 +527,7 @@ class Telemetry:
     def _handed_on(self, part: Part) -> bool:
         """Return whether SBN brought the messages to the sending cFS on a way that is not captured."""
         handed_on = part.stream.link.only_from_cfs and part.stream.instance != part.owner
-        return handed_on and self._case.upstream(part.stream) is None
+        return handed_on and part.stream not in self._case.upstream
 
     def _doubts(self, part: Part) -> Iterator[str]:
         """Yield reasons why missing messages may not have been lost behind cFS."""

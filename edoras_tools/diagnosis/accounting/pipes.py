@@ -793,7 +793,7 @@ class Leftover:
         case = self._case
         application, output = queues.application_pipe(case.profile), queues.telemetry_pipe(case.profile)
         leaving = [stream for stream in case.streams if stream.link.only_from_cfs]
-        followed = {hop.into: hop for hop in map(case.upstream, leaving) if hop}
+        followed = {hop.into: hop for hop in map(case.upstream.get, leaving) if hop}
         msg_ids = {stream.msg_id for stream in leaving}
         for stream in (item for item in case.streams if item.link.only_to_cfs or not item.is_housekeeping):
             fate, times = self._fates.get(stream), self._came_ns(stream)

@@ -280,8 +280,7 @@ def _events(
     times = np.concatenate((rows.time_ns[to], when, rows.time_ns[out], voices[0][heard]))
     kind = np.repeat([_DATAGRAM, _ERROR, _VOICE], [len(to), len(quoted), len(out) + int(heard.sum())])
     row = np.concatenate((to, quoted, np.full(int((kind == _VOICE).sum()), -1)))
-    source: Integers
-    source = np.concatenate((rows.source[to], errors.source, *spoke))
+    source: Integers = np.concatenate((rows.source[to], errors.source, *spoke))
     order = np.lexsort((kind, times, port))
     row, kind = row[order], kind[order]
     unanswered = (kind == _DATAGRAM) & ~closed[row]

@@ -184,11 +184,8 @@ def _commanded(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
 
 def _ended_at(case: Case, when: int) -> int:
     """Return a MsgId that Telemetry Output has not sent since; that of 0x803 where it sends all of them."""
-    last = {item.msg_id: int(item.time_ns[-1]) for item in case.streams if item.link is TO}
-    return next(
-        (msg_id for msg_id, time_ns in last.items() if when - 2 * SECOND < time_ns < when + SECOND),
-        case.of_known(0x0803),
-    )
+    last = (item for item in case.streams if item.link is TO and abs(int(item.time_ns[-1]) - when) < _WAIT_NS)
+    return next((item.msg_id for item in last), case.of_known(0x0803))
 
 
 def _added_again(case: Case, item: CommandRecord) -> str:

@@ -385,8 +385,7 @@ def _markers(path: Path, head: dict[str, Any], data: bytes) -> Integers:
     ticks = upper * np.uint64(head["rollover"] or 1 << 32) + lower
     ticks -= ticks[:1].sum()  # the first is the oldest
     time_ns = ticks.astype(np.float64) * (SECOND / head["ticks_per_second"])
-    exits = number >= cfe.EXIT
-    return np.stack([number % cfe.EXIT, exits, time_ns.round()], axis=1).astype(np.int64)
+    return np.stack([number % cfe.EXIT, number >= cfe.EXIT, time_ns.round()], axis=1).astype(np.int64)
 
 
 def _subscriptions(image: bytes) -> list[dict[str, Any]]:

@@ -100,8 +100,7 @@ class _Run(msgspec.Struct):
     def ends_before(self, time_ns: int) -> bool:
         """Return whether a packet at this time comes after a pause."""
         period = (self.last_ns - self.first_ns) / (self.count - 1) if self.count > 1 else 0
-        limit = _MISSED * period if period else _FIRST_PAUSE_NS
-        return time_ns - self.last_ns > max(_PAUSE_NS, limit)
+        return time_ns - self.last_ns > max(_PAUSE_NS, _MISSED * period if period else _FIRST_PAUSE_NS)
 
 
 class Conversation:

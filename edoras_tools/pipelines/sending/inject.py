@@ -330,6 +330,5 @@ def _value(types: TypeStore, field: MessageField, dice: Random) -> Any:
         return struct.unpack("f", struct.pack("f", value))[0] if field.type == "float32" else value
     if field.type in PRIMITIVES:
         bits = 8 * struct.calcsize("=" + PRIMITIVES[field.type])
-        signed = field.type.startswith("int")
-        return dice.getrandbits(bits) - (1 << (bits - 1) if signed else 0)
+        return dice.getrandbits(bits) - (1 << (bits - 1) if field.type.startswith("int") else 0)
     return arbitrary(types, field.type, dice)

@@ -656,5 +656,4 @@ class Sending:
 
 def in_order(out: Outgoing, table: Timetable) -> Outgoing:
     """Return the datagrams in the order of their timetable."""
-    same = np.array_equal(table.order, np.arange(len(table.order)))
-    return out if same else out.take(table.order)
+    return out if np.array_equal(table.order, np.arange(len(table.order))) else out.take(table.order)

@@ -281,8 +281,7 @@ def tree_lines(decoded: Decoded, width: int, paint: palette.Paint) -> list[str]:
     Args:
         width: cells that no line exceeds, at least 40.
     """
-    width = max(40, width)
-    return [line for row in rows(decoded) for line in row_lines(row, width, paint)]
+    return [line for row in rows(decoded) for line in row_lines(row, max(40, width), paint)]
 
 
 def _packet(decoded: Decoded) -> Iterator[TreeRow]:

@@ -116,8 +116,7 @@ def _rate(hertz: float | None) -> str:
 
 
 def _micro(microseconds: float) -> str:
-    small = microseconds < 999.5
-    return f"{microseconds:.1f} µs" if small else units.milliseconds(microseconds / 1e3)
+    return f"{microseconds:.1f} µs" if microseconds < 999.5 else units.milliseconds(microseconds / 1e3)
 
 
 def _routes(rows: Sequence[Mapping[str, Any]]) -> Table:

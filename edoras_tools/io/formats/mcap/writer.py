@@ -336,7 +336,9 @@ class McapSink(Sink):
 
     def _standing(self, streams: Streams) -> dict[str, str]:
         """Return the metadata that lets readers skip datagrams, with the number of datagrams of each kind."""
-        apart = self._options.apart.metadata() if self._options.apart and not self._options.is_part else {}
+        options = self._options
+        is_whole = not (options.splits or options.filter)  # else the file may contain only a part
+        apart = options.apart.metadata() if options.apart and is_whole else {}
         return {**apart, "flows": json.dumps(streams.flows)} if apart else {}
 
     def _note_outages(self) -> None:
