@@ -701,6 +701,8 @@ class Case:
             alike = least == usual == np.median(sizes) and sizes.max() <= 2 * least
             if least > pipe.usual_limit + 1 or (alike and least < pipe.usual_limit):
                 return replace(pipe, usual_limit=least), "measured"
+        if not loss.over_network and self.profile.app_msg_limit != self.assumed.app_msg_limit:
+            return pipe, "measured"
         return pipe, self.origin("sbn_wake_ns" if loss.over_network else "ci_wake_ns", "app_msg_limit")
 
     def lossless_hz(self, stream: Stream, assumed_hz: float) -> float:

@@ -7,8 +7,11 @@ Rules:
    one period.
 2. The limit of a MsgId at a pipe is the number of messages in its full rounds, if an event names the MsgId at
    that pipe, or if the rounds have more messages than the assumed limit.
-3. A learned period or depth replaces an assumed one if they differ by more than a tenth. It never replaces
-   one that a mission or an option gives.
+3. The events that report losses at an application's pipe are made while Command Ingest hands over a burst. If
+   the times between them are no multiples of the assumed period, they are its period, and what came in one
+   without an event is the limit of that pipe, if that is no more than the assumed limit.
+4. A learned period, limit or depth replaces an assumed one if they differ by more than a tenth. It never
+   replaces one that a mission or an option gives.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from msgspec.structs import replace
 
+from edoras_tools.cfs import command_ingest
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.matching.streams import bursts, full_where_lacking
 from edoras_tools.units import MILLISECOND, SECOND
@@ -40,6 +44,8 @@ _OFTEN: Final = 0.2
 """Least share of the times that are one period."""
 _NEAR: Final = 0.15
 """Share of a period within which times belong to it."""
+_BY_EVENTS: Final = 3, 0.5
+"""The same where events name the bursts: they are few, and other bursts lose nothing."""
 _MULTIPLES: Final = 6
 """Up to so many periods, times have to be multiples of the period,"""
 _NEARLY_ALL: Final = 0.8
@@ -53,23 +59,25 @@ _WAITS: Final = 0.7, 1.3
 _ALIKE: Final = 0.1
 
 
-def find_round(times: Integers) -> int | None:
+def find_round(times: Integers, least: int = _LEAST, often: float = _OFTEN) -> int | None:
     """Return the period, ns, of the rounds in which bursts arrive; None if there is none (rule 1).
 
     Args:
         times: i64 (n,), times of the messages, ns, in order.
+        least: number of times between bursts that is enough.
+        often: share of them that has to be one period.
     """
     steps = np.diff(times[np.diff(times, prepend=times[:1] - 2 * _BURST_NS) > _BURST_NS])
     steps = steps[steps < 5 * SECOND]
-    if len(steps) < _LEAST:
+    if len(steps) < least:
         return None
-    first = int(np.quantile(steps, _OFTEN / 2, method="higher"))
+    first = int(np.quantile(steps, often / 2, method="higher"))
     own = steps[np.abs(steps - first) < 2 * _NEAR * first]
     period = float(np.median(own))
     own = steps[np.abs(steps - period) < _NEAR * period]
     ratio = steps[steps < (_MULTIPLES + 0.5) * period] / period
     fits = np.abs(ratio - np.round(ratio)) < 2 * _NEAR
-    return None if len(own) < _OFTEN * len(steps) or fits.mean() < _NEARLY_ALL else int(period)
+    return None if len(own) < often * len(steps) or fits.mean() < _NEARLY_ALL else int(period)
 
 
 class Constants:
@@ -94,9 +102,9 @@ class Constants:
         every = {"to_wake_ns": find_round(output), "ci_wake_ns": _ingest(rows, case.hops)}
         self.rounds = {name: period for name, period in every.items() if period}
         learned: dict[str, Any] = {
-            name: period
-            for name, period in self.rounds.items()
-            if _usual(assumed, name) and abs(period / getattr(assumed, name) - 1) > _ALIKE
+            name: value
+            for name, value in {**_reported(case), **self.rounds}.items()
+            if _usual(assumed, name) and abs(value / getattr(assumed, name) - 1) > _ALIKE
         }
         limits = _limits(case) if "to_wake_ns" in self.rounds else {}
         lacking = sum(int(item.missing.sum()) for item in streams if item.link.only_from_cfs)
@@ -156,6 +164,26 @@ def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
     delays = np.concatenate([hop.delays_ns for hop in last])
     longest = float(np.quantile(delays, 0.9)) / round_ns if len(delays) else 0.0
     return round_ns if _WAITS[0] < longest < _WAITS[1] else None
+
+
+def _reported(case: Case) -> dict[str, int]:
+    """Return the period of Command Ingest's rounds, ns, and a limit behind it, by events (rule 3)."""
+    every = ((item, report) for item, report in case.reported_losses.items() if item.kind == "limit")
+    own = [(item, report) for item, report in every if item.sender == command_ingest.NAME]
+    if not own:
+        return {}
+    item, report = max(own, key=lambda both: both[1].count)
+    made_ns = np.sort(case.instances.made_ns[[record.row for record in report.records]])
+    begins, lost = bursts(made_ns, _BURST_NS)
+    round_ns, usual_ns = find_round(made_ns, *_BY_EVENTS), case.assumed.ci_wake_ns
+    if not round_ns or abs(round_ns / usual_ns - max(1, round(round_ns / usual_ns))) < _NEAR:
+        return {}
+    sent = [stream.time_ns for stream in case.streams if stream.msg_id == item.msg_id and stream.is_command]
+    came = np.diff(np.searchsorted(np.sort(np.concatenate(sent)), made_ns[begins]))
+    limit = int(np.median((came - lost[1:])[np.diff(made_ns[begins]) < (1 + _NEAR) * round_ns]))
+    # If more get through, the application reads meanwhile, or requests wake Command Ingest.
+    is_less = 0 < limit <= case.assumed.app_msg_limit
+    return {"ci_wake_ns": round_ns, "app_msg_limit": limit} if is_less else {}
 
 
 def _full_round(times: Integers) -> int:

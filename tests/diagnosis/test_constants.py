@@ -53,6 +53,29 @@ def test_a_cfs_with_other_constants_is_judged_by_its_own(lab, big):
     assert "pipe of 50" not in text
 
 
+@pytest.mark.quick("20.0-True")
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("hz", [12.0, 20.0])
+def test_events_show_the_rounds_of_ci_and_the_limit_behind_it(lab, hz, big):
+    """Nothing that comes out of the application is captured."""
+    sent, counters = lab.simulate("rover", seconds=20, hz=hz, **OTHER)
+    found = lab.examine(big_endian(sent) if big else sent)
+    profile = found.case.profile
+    assert profile.ci_wake_ns == pytest.approx(OTHER["ci_wake_ns"], rel=0.1)
+    assert profile.app_msg_limit == OTHER["app_msg_limit"]
+    assert 0 < found.lost + found.unaccounted <= counters.msg_limits + counters.pipe_overflows
+    text = json.dumps(found.as_json())
+    assert "it keeps 2 of one MsgId, and CI hands over a burst every 250 ms" in text
+    assert "500 ms" not in text
+
+
+@pytest.mark.parametrize("hz", [9.0, 10.0, 30.0])
+def test_events_at_multiples_of_the_usual_round_show_no_other(lab, hz):
+    sent, _ = lab.simulate("rover", seconds=20, hz=hz)
+    profile = lab.examine(sent).case.profile
+    assert (profile.ci_wake_ns, profile.app_msg_limit) == (500 * MILLISECOND, 4)
+
+
 def test_counters_of_a_big_endian_cfs_are_read_in_its_order(lab):
     sent, counters = lab.simulate("rover", seconds=40, hz=20.0)
     small, large = lab.examine(sent), lab.examine(big_endian(sent))
