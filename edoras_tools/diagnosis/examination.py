@@ -26,7 +26,7 @@ from edoras_tools.diagnosis.balance import Chain, Headline, WaySum, chains, head
 from edoras_tools.diagnosis.case import Capture, Case
 from edoras_tools.diagnosis.evidence.relays import proxied
 from edoras_tools.diagnosis.evidence.table import Recorder
-from edoras_tools.diagnosis.ledger import CAPTURE, Row, summed
+from edoras_tools.diagnosis.ledger import CAPTURE, ENDINGS, Row, summed
 from edoras_tools.diagnosis.missing import ALL, Missing, missing
 from edoras_tools.diagnosis.rules import SINGLE, others, rules
 from edoras_tools.diagnosis.rules.capture import too_many
@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 
     _Figures = Mapping[str, Callable[[Any, Any], Any]]
 
+_FIGURES: Final = ("duplicated", *ENDINGS[1:-1])
+"""Figures of the whole besides ``lost``; it shares nothing with others."""
 CHAPTER: Final = 1_000_000
 """Number of datagrams in a chapter; their rows take 160 MB. Messages that cross into the next one are not
 matched with their arrival there."""
@@ -235,7 +237,6 @@ class Diagnosis(msgspec.Struct, frozen=True, dict=True):
 
     def as_json(self) -> dict[str, Any]:
         """Return the diagnosis in the shape of ``doctor --json``."""
-        figures = "lost", "superseded", "unaccounted", "uncertain"
         return {
             **{name: getattr(self, name) for name in ("datagrams", "start_ns", "end_ns")},
             "capture_drops": self.capture.drops,
@@ -244,7 +245,8 @@ class Diagnosis(msgspec.Struct, frozen=True, dict=True):
             "not_examined": self.left_out,
             "choice": self.choice.text if self.choice else None,
             "not_shown": self.not_shown,
-            **{name: getattr(self, name) for name in figures},
+            "lost": self.lost,
+            **{name: sum(getattr(row, name) for row in self.balance) for name in _FIGURES},
             "estimated": None,
             "messages_lost": self.messages_lost,
             "messages_uncertain": self.messages_uncertain,

@@ -63,8 +63,10 @@ def test_every_row_adds_up_and_the_sums_are_those_of_the_rows(name, diagnosis):
     assert found.balance
     assert wrong_rows(found.balance) == []
     told = found.as_json()
-    for figure in ("lost", "superseded", "unaccounted"):
-        assert told[figure] == sum(row[figure] for row in told["balance"])
+    figures = "lost", "superseded", "unaccounted", "uncertain", "waiting", "not_captured", "duplicated"
+    assert {name: told[name] for name in figures} == {
+        name: sum(row[name] for row in told["balance"]) for name in figures
+    }
     assert told["examined"] == found.datagrams > 0
 
 
