@@ -71,7 +71,7 @@ def test_every_row_adds_up_and_the_sums_are_those_of_the_rows(name, diagnosis):
 
 
 @pytest.mark.each(3)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "season3/p4_apps_stopped", "season3/q12_to_limits_changed"])
 def test_what_the_verdicts_say_is_lost_is_the_sum_of_the_rows(name, diagnosis):
     found = diagnosis(name)
     assert sum(item.lost or 0 for item in found.verdicts) == found.lost

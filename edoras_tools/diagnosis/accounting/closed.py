@@ -116,7 +116,7 @@ def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
             # Once the MsgId is added again, only the first gap that ends later is explained by the removal.
             again_ns = added_ns[added_ns > when].min(initial=NEVER)
             inside = (starts - _STOPS_NS < when) & (when < ends)
-            inside &= (ends - starts) // _BRIEF < again_ns - when
+            inside &= ((ends - starts) // _BRIEF < again_ns - when) & (starts - SECOND < again_ns)
             back = np.flatnonzero(inside & (ends > again_ns))[:1]
             out |= np.isin(np.arange(len(at)), back) if len(back) else inside
         return out

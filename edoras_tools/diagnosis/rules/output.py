@@ -134,8 +134,8 @@ def to_stopped(case: Case) -> Iterator[Verdict]:
         own = [loss for loss in lost if loss.start_ns - SECOND <= when <= loss.end_ns + SECOND]
         for loss in own:
             lost.remove(loss)
-        number = sum(loss.lost for loss in own)
-        missing = number + sum(
+        number = sum(loss.lost for loss in own if loss.kind in {"limit", "overflow"})
+        missing = sum(loss.lost for loss in own) + sum(
             rest
             for part, rest in closed
             if part.span.start_ns - _WAIT_NS <= when <= part.span.end_ns + SECOND
