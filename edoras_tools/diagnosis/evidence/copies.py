@@ -417,7 +417,7 @@ def who_doubled(
         if vote >= 0:  # CI also counts datagrams that the capture missed
             # SBN carries both ways, so what came in is no answer.
             vote = min(vote, int(own.sum()))
-            vote += _by_answers(rows, mine, own, np.setdiff1d(answers, mine), others)
+            vote += _by_answers(rows, mine, own, np.setdiff1d(answers, mine, assume_unique=True), others)
         vote *= not 0 < vote <= max(2, own.sum() // 2)  # a few votes may be chance
         votes[receiver] = 2 * vote - int(copies.at_once[mine[own]].sum()) if vote else 0
     whole = sum(votes.values())
