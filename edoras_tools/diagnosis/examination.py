@@ -36,7 +36,6 @@ from edoras_tools.links.table import LinkStates
 from edoras_tools.mission import Mission
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Columns, PacketBatch
 from edoras_tools.wire.arrays import by_key, by_value
-from edoras_tools.words import plural
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -340,7 +339,7 @@ def _lost_here(verdict: Verdict, number: int) -> Verdict:
     other = (verdict.lost or 0) - number
     if not other or verdict.by_type:
         return replace(verdict, lost=number or None)
-    line = f"{plural(other, 'message')} of these arrived, or are counted under another cause"
+    line = f"{other:,} of these arrived, or had another cause"
     return replace(verdict, lost=number, evidence=(*verdict.evidence, line))
 
 

@@ -96,6 +96,13 @@ def test_limits_that_commands_set_are_named_and_nothing_is_missing_between(lab):
     assert not any("published meanwhile" in line for item in stops for line in item.evidence)
 
 
+def test_a_single_message_without_a_subscriber_is_told_as_one(lab):
+    found = lab.read(ROOT / "tests/captures/e_ci_errors.pcap.zst")
+    several, one = told(found, "no_subscriber")
+    assert "1 of these arrived, or had another cause" in several.evidence
+    assert one.reason == "1 message on 0x1fff without a subscriber in cFS: dropped by the software bus"
+
+
 def test_later_fragments_that_a_firewall_dropped(lab):
     found = season(lab, "q08b_later_fragments_dropped")
     assert lost_by(found) == {"fragments": 80}

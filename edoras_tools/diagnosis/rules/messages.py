@@ -311,7 +311,7 @@ def _not_taken(case: Case, msg_id: int, link: Link, members: list[int], witness:
         subject += ", or what an application sends on for them,"
         remedy += "; let the SBN peer subscribe to what becomes of it"
     return error(
-        f"{subject} without a subscriber in cFS: the software bus drops them",
+        f"{subject} without a subscriber in cFS: dropped by the software bus",
         f"packet {packets}, the first at {case.at(span[0])}" if members else "",
         witness,
         msg_id=msg_id,
