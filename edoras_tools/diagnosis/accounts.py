@@ -35,10 +35,13 @@ def accounts(case: Case) -> list[dict[str, Any]]:
         key=lambda item: (item.route == NO_ROUTE, item.msg_id in MSG_ID_NAMES, item.link, item.msg_id),
     )
     ways = dict(zip(case.streams, case.ledger.ways, strict=False))
-    return [_row(case, stream, ways[stream]) for stream in order]
+    more = Counter[tuple[str, int | None]]()  # what came out damaged is lost, too
+    for way in case.ledger.ways[len(order) :]:
+        more[way.traffic.link, way.traffic.msg_id] += sum(row.all_lost for row in way.rows())
+    return [_row(case, item, ways[item], more.pop((item.link.label, item.msg_id), 0)) for item in order]
 
 
-def _row(case: Case, stream: Stream, way: LedgerWay) -> dict[str, Any]:
+def _row(case: Case, stream: Stream, way: LedgerWay, damaged: int) -> dict[str, Any]:
     rows, own = case.rows, stream.rows
     route = case.mission.routes[stream.route] if stream.route != NO_ROUTE else None
     source = route or case.own_struct(stream.msg_id)
@@ -62,7 +65,7 @@ def _row(case: Case, stream: Stream, way: LedgerWay) -> dict[str, Any]:
         "instance": case.label(stream.instance) if stream.instance != NOBODY else None,
         "sent": len(stream) + absent,
         "seen": len(stream),
-        "lost": lost.total(),
+        "lost": lost.total() + damaged,
         "rate_hz": round(rate_hz(len(stream), int(times[-1]) - int(times[0])), 3),
         "limit_hz": clean_hz,
         "limit_from": told_by,

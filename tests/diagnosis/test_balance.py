@@ -93,7 +93,7 @@ def test_every_lost_message_is_listed_once(name, diagnosis):
 
 
 @pytest.mark.each(3)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "season3/n11_jointstate_sizes", "cfs7/long_commands"])
 def test_the_table_of_routes_tells_what_the_balance_tells(name, diagnosis):
     found = diagnosis(name).as_json()
     by_route, by_row = Counter(), Counter()

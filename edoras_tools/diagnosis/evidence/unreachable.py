@@ -274,8 +274,7 @@ def _events(
     to, out = (np.flatnonzero(np.isin(end, errors.destination)) for end in (rows.destination, rows.source))
     heard = np.isin(voices[1], errors.destination)
     spoke = rows.source[out], voices[1][heard]
-    port: Integers
-    port = np.concatenate((rows.destination[to], errors.destination, *spoke))
+    port: Integers = np.concatenate((rows.destination[to], errors.destination, *spoke))
     when = np.where(quoted >= 0, rows.time_ns[quoted], errors.time_ns)
     times = np.concatenate((rows.time_ns[to], when, rows.time_ns[out], voices[0][heard]))
     kind = np.repeat([_DATAGRAM, _ERROR, _VOICE], [len(to), len(quoted), len(out) + int(heard.sum())])

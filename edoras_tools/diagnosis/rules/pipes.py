@@ -114,15 +114,12 @@ def to_pipe_overflow(case: Case) -> Iterator[Verdict]:
     open_ = (x for x in case.losses if x.kind == "overflow" and not (x.closed or x.rivals))
     full = [item for item in open_ if item.hop == telemetry_output.PIPE]
     # The routes have a verdict each; without any, what lost most.
-    routes = [item for item in full if _is_route(item)] or sorted(full, key=lambda item: -item.lost)[:1]
+    routes = [x for x in full if x.msg_id not in MSG_ID_NAMES or (x.stream and x.stream.route != NO_ROUTE)]
+    routes = routes or sorted(full, key=lambda item: -item.lost)[:1]
     others = [item for item in full if item not in routes]
     for loss in routes:
         yield _output_overflow(case, loss, [item for item in others if _together(item, loss)])
     yield from (_with_them(case, own) for own in by_key(others, lambda item: item.instance).values())
-
-
-def _is_route(loss: Loss) -> bool:
-    return (loss.stream is not None and loss.stream.route != NO_ROUTE) or loss.msg_id not in MSG_ID_NAMES
 
 
 def _together(loss: Loss, other: Loss) -> bool:
