@@ -491,8 +491,7 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     entered = len(stream) + len(dropped) - doubled
     entered += relayed.more if relayed else 0
     entered += len(case.damaged[stream]) + case.commands.never_came.get(stream, 0)
-    doubtful = case.perhaps_doubled[stream.link.code, stream.receiver, stream.msg_id]
-    way = LedgerWay(traffic, entered, doubtful)
+    way = LedgerWay(traffic, entered, case.perhaps_doubled[stream.link.code, stream.receiver, stream.msg_id])
     if relayed:
         losses = _by_relay(way, relayed, losses)
     if dropped or doubled:
@@ -652,8 +651,7 @@ def _published(case: Case, stream: Stream) -> LedgerWay:
     doubled = min(faults.doubled, stream.duplicates if stream.counted else len(stream))
     if dropped or doubled:
         _by_proxy(way, faults.dropped, dropped, doubled)
-    sources = {"in": by, "out": SEEN}
-    way.hop(BEHIND, sources, duplicated=stream.duplicates - doubled if stream.counted else 0)
+    way.hop(BEHIND, {"in": by, "out": SEEN}, duplicated=stream.duplicates - doubled if stream.counted else 0)
     way.add_losses(losses, _BEHIND_PIPE)
     _lose_damaged(way, case.damaged[stream].take(slice(telemetry.ends[stream]["damaged"])))
     way.end("not_captured", telemetry.ends[stream]["away"])
@@ -684,7 +682,6 @@ def _to_peer(case: Case, way: LedgerWay, stream: Stream, silent: Unheard) -> Non
         if rows:
             about = _span_of(case, Among(stream, np.array(rows, np.intp)))
             way.end("lost", len(rows), cause, text=f"sent to the SBN peer {peer} {when}", **about)
-    way.end("unaccounted", silent.unaccounted)
     way.end("uncertain", silent.uncertain)
 
 

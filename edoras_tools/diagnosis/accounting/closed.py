@@ -7,7 +7,7 @@ Ways out and SBN peers:
    are lost. It may have received messages sent just before.
 3. A peer that restarted earlier received nothing from when its next datagram was due until it subscribed
    again.
-4. A peer that is silent when the capture ends may still run: messages to it since are unaccounted for.
+4. A peer that is silent when the capture ends may still run: messages to it since are uncertain.
 
 Ports that ICMP errors show as closed or unreachable:
 
@@ -128,8 +128,7 @@ def closed_at(case: Case, stream: Stream, at: Places) -> Mask:
         subject, state = span.change.subject.kind, span.change.state
         # A peer that did not say so may have subscribed before; SBN that restarts keeps its pipes. To a peer
         # that is only silent SBN sends on.
-        closing = {"subscription": span.change.rows, "peer": True, "app": state == "stopped"}
-        if closing.get(subject):
+        if {"subscription": span.change.rows, "peer": True, "app": state == "stopped"}.get(subject):
             late = (state != "silent") | (ends >= span.end_lo)
             out |= (span.start_lo < ends) & (starts < span.end_lo) & late
     return out
@@ -287,15 +286,13 @@ class Unheard(msgspec.Struct):
 
     Attributes:
         connection: the connection with the peer.
-        uncertain: number of messages sent while it may still have run.
-        unaccounted: number of messages to a peer that was silent when the capture ended.
+        uncertain: number of messages sent while it may still have run, at the end of the capture, too.
         lost: indices of the messages to a peer that was given up.
         restarted: indices of the messages to a peer that restarted before it was given up.
     """
 
     connection: Connection
     uncertain: int = 0
-    unaccounted: int = 0
     lost: list[int] = msgspec.field(default_factory=list)
     restarted: list[int] = msgspec.field(default_factory=list)
 
@@ -326,7 +323,7 @@ def unheard(case: Case) -> dict[Stream, Unheard]:
                     if len(silence.within(connection.sent_ns)) > silence.answers:
                         item.uncertain += sum(row < first for row in inside)
                 else:
-                    item.unaccounted += int((~closed[stream.rows[inside]]).sum())
+                    item.uncertain += int((~closed[stream.rows[inside]]).sum())
             for restart in connection.restarts:
                 dead = (times > restart.dead_ns) & (times < restart.back_ns)
                 item.restarted += np.flatnonzero(dead).tolist()

@@ -49,6 +49,8 @@ _SHORT_NS: Final = 2 * SECOND
 _FACTOR: Final = 4
 _LEAST_STEPS: Final = 8
 """A restart shows only at a peer with this many pauses, by a silence of ``_FACTOR`` usual ones."""
+_MANY_STEPS: Final = 40
+"""The last steps of a peer, if so many, show how long it ever paused."""
 _RARE_NS: Final = 30 * SECOND
 """A peer that subscribes more often than this repeats its subscriptions by habit."""
 ALREADY: Final = "it was when the capture began"
@@ -203,9 +205,7 @@ class Connection:
             first: row of the observer's PROTO that begins its first connection, else its first datagram.
             farewells: result of ``_disconnect_spans``.
         """
-        timeout, silent = self._timeout_ns, self.seldom_ns
-        if self.streamed:
-            timeout = silent = _NEVER
+        timeout = _NEVER if self.streamed else self._timeout_ns
         begin_ns, alive_ns, end_ns = self._rows.time_ns[[0, first, -1]].tolist()
         begins = self._rows.sbn_msg_type[first] == sbn.MsgType.PROTO
         changes: list[PeerChange] = []
@@ -244,10 +244,20 @@ class Connection:
             changes.append(PeerChange(away[0][0], "disconnected", SAID_GOODBYE))
         elif up and (quiet := end_ns - last - self._away(last, end_ns)) >= timeout + SECOND:
             changes += _silence(last, timeout)
-        elif up and quiet >= silent:
+        elif up and quiet >= self._hushed_ns(times):
             text = f"nothing from it since, {(end_ns - last) / SECOND:.1f} s to the end of the capture"
             changes.append(PeerChange(last, "silent", text))
         return changes
+
+    def _hushed_ns(self, times: Integers) -> int:
+        """Return how long a peer that speaks at these times is silent only if it does not run, ns.
+
+        Silence says nothing where everything ends, so the observer must have gone on sending to it.
+        """
+        steps = np.diff(times)[-_MANY_STEPS:]
+        often = len(steps) == _MANY_STEPS and (self.sent_ns > times[-1] + steps.max()).any()
+        quiet_ns = max(_SHORT_NS, _FACTOR * int(steps.max())) if often else _NEVER
+        return _NEVER if self.streamed else min(self.seldom_ns, quiet_ns)
 
     def _spoke(self, when: int) -> bool:
         """Return whether the observer sent something before a time, and after: heartbeats at least (rule 6).
