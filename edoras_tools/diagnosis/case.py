@@ -387,10 +387,7 @@ class Case:
         """The states of each cFS, application, link, peer and of the capture over time."""
         software = SoftwareChanges(self.rows, self.payloads, self.instances, self.jumps, self.resets)
         changes = list(software.changes())
-        # Commands and events are better witnesses of a subject than the SBN peers; but who speaks runs.
-        subjects = {(item.system, item.subject) for item in changes if item.sure}
-        network = network_changes(self.rows, self.payloads, self.instances, self.network, changes)
-        changes += [x for x in network if x.state == "running" or (x.system, x.subject) not in subjects]
+        changes += network_changes(self.rows, self.payloads, self.instances, self.network, changes)
         changes += capture_changes(self.away)
         return Timeline([*changes, *stalls(self.rows, self.streams, self.instances, Timeline(changes))])
 
@@ -590,8 +587,7 @@ class Case:
             return self.instances.owner(stream.sender, start_ns)
         if stream.instance != NOBODY:
             return stream.instance
-        name = self.network.identity_of.get(stream.sender, "")
-        return self.instances.named(name, start_ns, stream.sender)
+        return self.instances.named(self.network.identity_of.get(stream.sender, ""), start_ns, stream.sender)
 
     def commanded_limit(self, stream: Stream) -> int | None:
         """Return the limit of a stream at Telemetry Output, if the last command on its entry set one."""

@@ -109,7 +109,7 @@ class SoftwareChanges(msgspec.Struct, dict=True):
                 removals = self._payloads.outputs(telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL)
                 before = {item.entry for item in removals if item.time_ns < command.time_ns}
                 if before & {-1, command.entry} or not self._answered(command, text):
-                    yield change(entry, "subscribed", values.get("limit", self._added(command)))
+                    yield change(entry, "subscribed", self._limit(command))
             elif code == telemetry_output.REMOVE_PACKET:
                 yield change(entry, "unsubscribed")
             elif code == telemetry_output.REMOVE_ALL:
@@ -130,10 +130,11 @@ class SoftwareChanges(msgspec.Struct, dict=True):
         """Return whether an event soon after a command contains some words."""
         return any(words in item.message for item in self._answers(command))
 
-    def _added(self, command: CommandRecord) -> int | None:
-        """Return the limit of an added entry by an event; None without one."""
+    def _limit(self, command: CommandRecord) -> int | None:
+        """Return the limit of an added entry: by an event, as builds lay the command out differently."""
         texts = (telemetry_output.ADDED.pattern.fullmatch(item.message) for item in self._answers(command))
-        return next((int(it["limit"]) for it in texts if it and int(it["msg_id"], 16) == command.entry), None)
+        limits = (int(it["limit"]) for it in texts if it and int(it["msg_id"], 16) == command.entry)
+        return next(limits, command.values.get("limit"))
 
     def _executive(self, command: CommandRecord, pattern: Change) -> Iterator[Change]:
         state = _APP_STATES.get(command.function_code)
@@ -304,15 +305,19 @@ def _goodbyes(
     # It leaves one peer after the other.
     words = np.flatnonzero(speaks & (rows.sbn_msg_type != MsgType.DISCONNECT))
     said_ns, greets = rows.time_ns[words], np.isin(rows.sbn_msg_type[words], (MsgType.PROTO, MsgType.SUB))
-    own = (item for item in software if (item.system, item.subject) == (system, subject))
+    own = [item for item in software if (item.system, item.subject) == (system, subject)]
     ends_ns = [item.not_before_ns for item in own if item.state != "running"]
+    sure = [(item.not_before_ns - _ENDS_NS, item.not_after_ns) for item in own if item.sure]
     for when in (item.time_ns for item in changes if item.why == SAID_GOODBYE):
         # What it had sent before may come late; what starts greets its peers.
         later = said_ns[(said_ns > when) & (greets | (said_ns - when > _SLACK_NS))][:1].tolist()
         if not later or later[0] - when > _SLACK_NS:
             is_commanded = any(0 <= when - asked_ns <= _ENDS_NS for asked_ns in ends_ns)
             text = "it sent its peer DISCONNECT, and then nothing"
-            yield Change(system, subject, "stopped" if later or is_commanded else "failed", when, when, text)
+            state = "stopped" if later or is_commanded else "failed"
+            # Commands and events are better witnesses of an end than its peers; but who speaks runs.
+            if not any(low <= when <= high for low, high in sure):
+                yield Change(system, subject, state, when, when, text)
             for back_ns in later:
                 yield Change(system, subject, "running", back_ns, back_ns, "it speaks to its peers again")
 
