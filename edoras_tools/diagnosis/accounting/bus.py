@@ -93,6 +93,7 @@ class Part(msgspec.Struct):
         closed: whether the way out was closed, so that they would not have been sent.
         silenced: whether Telemetry Output sent nothing at all until it was enabled.
         unexplained: whether nothing at all came, and the commands that would explain it are not captured.
+        away: whether nothing could be captured then.
         cause: kind of loss, place and evidence, if a closed way out lost them; else None.
         among: the missing messages.
         evidence: lines that show the loss.
@@ -111,6 +112,7 @@ class Part(msgspec.Struct):
     closed: bool = False
     silenced: bool = False
     unexplained: bool = False
+    away: bool = False
     cause: tuple[LossKind, str, str] | None = None
     evidence: list[str] = msgspec.field(default_factory=list)
 
@@ -237,7 +239,11 @@ class Telemetry:
             return
         owner, times = case.owner(stream), stream.time_ns
         away = case.overlaps_outage(times[gaps.at], times[np.minimum(gaps.at + 1, len(stream) - 1)])
-        self.ends[stream]["away"] = int(gaps.number[away].sum())
+        for index in np.flatnonzero(away).tolist():
+            # What the bus lost meanwhile is not captured either, and its counts are of no other message.
+            part, own = self._closed_part(stream, owner, gaps, index)
+            part.away = part.unexplained = True
+            self._claim_closed(part, own, gaps)
         gaps = gaps.take(~away)
         closed = closed_at(case, stream, gaps.at)
         way = stream.sender, stream.receiver
@@ -253,11 +259,7 @@ class Telemetry:
         unexplained = (containing(stream, gaps.at, unexplained_ns) | taken_off) & ~(closed | silenced)
         closed |= silenced | unexplained
         for index in np.flatnonzero(closed).tolist():
-            own = gaps.take(np.array([index]))
-            first, number = int(own.at[0]), int(own.number[0])
-            last = min(first + 1, len(stream) - 1)
-            span = Span(first, last, int(times[first]), int(times[last]), 0, number)
-            part = Part(stream, span, owner, own.among(stream), number, closed=True)
+            part, own = self._closed_part(stream, owner, gaps, index)
             part.silenced, part.unexplained = bool(silenced[index]), bool(unexplained[index])
             self._claim_closed(part, own, gaps)
         gaps, spans = gaps.take(~closed), stream.spans
@@ -273,6 +275,14 @@ class Telemetry:
                 self._claim_open(part, own)
         if len(gaps.at) and owner in self._counts:
             self._tail(self.parts[-1])
+
+    def _closed_part(self, stream: Stream, owner: int, gaps: _Gaps, index: int) -> tuple[Part, _Gaps]:
+        """Return a part that is one gap while the way out was closed, and the gap."""
+        own, times = gaps.take(np.array([index])), stream.time_ns
+        first, number = int(own.at[0]), int(own.number[0])
+        last = min(first + 1, len(stream) - 1)
+        span = Span(first, last, int(times[first]), int(times[last]), 0, number)
+        return Part(stream, span, owner, own.among(stream), number, closed=True), own
 
     def _missing(self, stream: Stream) -> _Gaps:
         """Return the gaps of a stream, with an empty one after its end if events name later losses."""
@@ -353,9 +363,12 @@ class Telemetry:
         # What went into cFS and did not come out to a peer is told there.
         alone = part.cause is None and all(hop.out is not part.stream for hop in self._case.hops)
         if part.owner in self._counts and (part.stream.link.only_from_cfs or alone):
-            rank, kinds = Rank.OWN_PACKETS if part.cause is None else Rank.CLOSED, tuple(COUNTERS)
+            rank = Rank.OWN_PACKETS if part.cause is None else Rank.CLOSED
             span, number = (int(gap.low_ns[0]), int(gap.high_ns[0])), self._countable(part, gaps)
-            self.claims.append(Claim(part, *span, number, kinds, (part.owner,), rank, part.stream))
+            if part.away:
+                rank, number = Rank.NOT_CAPTURED, part.missing
+            of = part, *span, number, tuple(COUNTERS), (part.owner,), rank, part.stream
+            self.claims.append(Claim(*of))
         self.parts.append(part)
 
     def _countable(self, part: Part, gaps: _Gaps) -> int:
@@ -390,6 +403,9 @@ class Telemetry:
 
     def _make_closed_losses(self, part: Part) -> None:
         """Turn a closed part into losses: all of it if the closing lost it, else those that were counted."""
+        if part.away:
+            self.ends[part.stream]["away"] += part.missing
+            return
         pipe = self._case.pipe_of(part.stream)
         texts = {
             kind: f"0x803: {COUNTER_NAMES[kind]} +{number:,} while nobody emptied {pipe}"
@@ -425,7 +441,9 @@ class Telemetry:
         queue = (queues.peer_pipe if stream.link.peers else queues.telemetry_pipe)(case.profile)
         rounds, limit = case.rounds(stream, span), case.commanded_limit(stream) or queue.limit(stream.msg_id)
         larger = rounds.most > limit and rounds.share < _MOSTLY
-        grown = {kind: self._grown(part, name) > 0 for kind, name in COUNTERS.items()}
+        counts = self._counts.get(part.owner)
+        first = counts.first if counts and span.start_ns < counts.times[0] else {}
+        grown = {kind: self._grown(part, name) + first.get(kind, 0) > 0 for kind, name in COUNTERS.items()}
         for kind in COUNTERS:
             events = self._naming(stream, kind)
             is_named = bool(events and events.within(*window))

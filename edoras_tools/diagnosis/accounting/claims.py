@@ -47,15 +47,17 @@ class Rank(IntEnum):
     """Missing while its way out was closed."""
     OWN_PACKETS = 3
     """Missing while its way out was closed, and published by cFS itself."""
-    QUIET = 4
+    NOT_CAPTURED = 4
+    """Missing while nothing could be captured: counts of that time are not of those that were."""
+    QUIET = 5
     """A command that surely did not leave cFS again, with no event and a stream too slow to fill a pipe."""
-    INTO_STOP = 5
+    INTO_STOP = 6
     """Sent to an application that was stopped; its pipe may have filled up."""
-    MISSING = 6
+    MISSING = 7
     """Missing by its sequence count, but no pipe was full: it gets counts that nothing above explains."""
-    POSSIBLE = 7
+    POSSIBLE = 8
     """From this rank on the messages may also have arrived."""
-    UNNAMED = 13
+    UNNAMED = 14
     """From this rank on, too, and no event names them: their stream is too slow to fill a pipe."""
 
 
