@@ -199,14 +199,8 @@ def _expression(
         others += [f"udp[8:4] = {number}", f"(ip6[6] == 17 and ip6[48:4] = {number})"]
     if not expression:
         return None
-<<<<<<< HEAD
     others += ["icmp[0] = 3", "icmp[0] = 11", "(ip6[6] == 58 and ip6[40] >= 1 and ip6[40] <= 3)"]
-    expression = " or ".join([expression, *others])
-    return f"{expression} or (ip[6:2] & 0x1fff != 0) or ip6[6] == 44 or vlan"
-=======
-    others += ["icmp[0] = 3", "(ip6[6] == 58 and ip6[40] = 1)", "(ip[6:2] & 0x1fff != 0)", "ip6[6] == 44"]
-    return " or ".join([expression, *others, "vlan"])
->>>>>>> fec2fb5f (Leave out values and functions that are used once)
+    return " or ".join([expression, *others, "(ip[6:2] & 0x1fff != 0)", "ip6[6] == 44", "vlan"])
 
 
 def _listen(
