@@ -418,7 +418,9 @@ def who_doubled(
             # SBN carries both ways, so what came in is no answer.
             vote = min(vote, int(own.sum()))
             vote += _by_answers(rows, mine, own, np.setdiff1d(answers, mine, assume_unique=True), others)
-        vote *= not 0 < vote <= max(2, own.sum() // 2)  # a few votes may be chance
+        # A few votes may be chance. SBN's own messages lead to no other, so they have none.
+        voters = own & ((rows.body_print[mine] != 0) | rows.on(lambda link: link.only_to_cfs, mine))
+        vote *= not 0 < vote <= max(2, voters.sum() // 2)
         votes[receiver] = 2 * vote - int(copies.at_once[mine[own]].sum()) if vote else 0
     whole = sum(votes.values())
     for receiver, members in by_value(np.where(copies.duplicate, rows.destination, -1)):
