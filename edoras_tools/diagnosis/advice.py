@@ -25,6 +25,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import TAIL_NS, Loss
+from edoras_tools.diagnosis.accounting.pipes import more_at_once
 from edoras_tools.diagnosis.case import kept
 from edoras_tools.diagnosis.evidence.copies import crowding, senders_at_once
 from edoras_tools.diagnosis.evidence.instances import NOBODY
@@ -32,6 +33,7 @@ from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner, S
 from edoras_tools.diagnosis.matching.streams import Stream, full_where_lacking
 from edoras_tools.diagnosis.verdict import Advice
 from edoras_tools.units import MILLISECOND, SECOND
+from edoras_tools.wire.cfe import EVENT_MSG_ID
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
@@ -255,7 +257,14 @@ def capacity(case: Case, loss: Loss) -> str:
         if loss.stream is not None and (hz := case.lossless_hz(loss.stream, clean)):
             return f"{hz:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)"
         keeps, origin = f"it keeps {{}} of one MsgId, and {who} hands over a burst", f" ({source})"
-        limit, names = queue.usual_limit, ()
+        limit, names, times = queue.usual_limit, (), case.rows.time_ns[_rows_of(loss)]
+        if (
+            loss.over_network
+            and not more_at_once(times, queue.round_ns, limit)
+            and not stood_still(case, loss)
+        ):
+            every = f"{queue.round_ns / MILLISECOND:.0f} ms"
+            return f"no more than {limit} came in {every}: its task reads late, or keeps fewer of one MsgId"
     rate = f" every {queue.round_ns / MILLISECOND:.0f} ms: {queue.rate_hz(limit):.0f} a second get through"
     text = keeps.format(limit) + rate if limit else "TO keeps none of this MsgId"
     return text + (origin or f" ({case.origin(*names)})")
@@ -280,9 +289,12 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
     if not limit:
         return Advice(why, _raised(case, msg_id, own.most(queue.round_ns * _LATE) + 1))
     now, fits = queue.with_limit(msg_id, limit), False
-    if measured or loss.offered_hz > rate:
+    is_event = loss.stream.known_id == EVENT_MSG_ID
+    if not is_event and (measured or loss.offered_hz > rate):
         fits = _explains(own.between(loss.start_ns, loss.end_ns).lost((now,), msg_id), loss.lost)
-    if loss.stream.counted:  # else the arrivals do not contain the lost messages
+    if is_event:
+        slower = _on_console(case, loss)
+    elif loss.stream.counted:  # else the arrivals do not contain the lost messages
         slower = _spread(case, own, queue, limit, slower, ("published", "TO" if output else "SBN", 0))
     slow = max(own.spaced(SECOND / _safe(rate), msg_id).lost((now,), msg_id)) if fits else None
     if not output:
@@ -294,6 +306,13 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
         return Advice(why, slower, slow)
     remedy = f"{slower}, or {_raised(case, msg_id, need)}"
     return Advice(why, remedy, None if slow is None else max(rest, slow))
+
+
+def _on_console(case: Case, loss: Loss) -> str:
+    """Return the remedy for lost events: nobody spreads them, but cFS prints them, too."""
+    apps = Counter(item.app for item in case.events_between(loss.start_ns, loss.end_ns))
+    who = "".join(f"; most that came are of {app}" for app, _ in apps.most_common(1))
+    return f"read them on cFS's console, where it prints all{who}"
 
 
 def _safe(rate_hz: float) -> float:
