@@ -165,6 +165,9 @@ FLIGHTS = {
     "bits_changed_on_the_way_flight": (5, {"bad_command": 3, "no_subscriber": 2}),
     "refused_beside_a_limit": (65, {"bad_command": 46, "limit": 19}),
     "events_lost_in_a_full_pipe": (426, {"limit": 103, "overflow": 323}),
+    "hole_beside_a_dead_peer": (492, {"limit": 282, "sbn_peer_restart": 210}),
+    "poses_doubled_and_delayed": (51, {"limit": 51}),
+    "takes_45_ms_for_each": (111, {"limit": 111}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -211,6 +214,8 @@ RANGES = {
     "bursts_of_poses_at_once": 1765,
     "restarted_twice_at_15_hz": 213,
     "peer_takes_poses_too": 638,
+    "announced_peer_and_reload": 250,
+    "overload_before_output": 296,
 }
 
 
@@ -2207,3 +2212,55 @@ def test_what_a_route_loses_that_is_disabled_is_lost_also_where_nothing_names_it
     items = mutations.without_telemetry(0x808)(mutations.frames(FOLDER / f"{name}.pcap.zst"), None)
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
     assert (found.lost + found.unaccounted, found.uncertain) == (lost, 0)
+
+
+def test_what_is_sent_to_a_peer_that_is_silent_when_a_capture_ends_may_be_lost(tmp_path):
+    """A peer that speaks each half second and answers all is silent after some seconds, not after seven."""
+    found = examined("peer_killed_at_the_end")
+    assert (found.lost, found.unaccounted, found.uncertain) == (42, 0, 13)
+    assert "SBN peer 66:3 is silent since 24.0 s" in first_screen(found)
+    items = mutations.frames(FOLDER / "sbn_alone.pcap.zst")
+    items = [item for item in items if item.time_ns < items[0].time_ns + 30.5 * SECOND]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert not found.unaccounted
+    assert found.uncertain
+
+
+def test_sbn_that_ended_without_a_command_is_named_though_a_command_restarts_it_later():
+    found = examined("announced_peer_and_reload")
+    assert by_cause(found)["stopped"] == 158
+    assert found.unaccounted == 0
+    text = first_screen(found)
+    assert "while SBN did not run, 36.5 to 56.2 s" in text
+    assert "read them on cFS's console, where it prints all; most that came are of SBN" in text
+
+
+def test_a_first_count_is_of_gaps_before_it_and_bounds_what_else_was_lost_then():
+    found = examined("overload_before_output")
+    assert by_cause(found) == {"limit": 216, "disabled": 69}
+    assert found.uncertain == 45
+
+
+def test_counts_of_a_hole_are_of_no_message_beside_it():
+    found = examined("hole_beside_a_dead_peer")
+    assert not [row for row in found.balance if row.link == "ci" and row.all_lost]
+
+
+def test_what_came_out_twice_was_doubled_by_the_network_though_much_of_it_is_lost_behind():
+    assert examined("poses_doubled_and_delayed").uncertain == 0
+
+
+def test_a_limit_that_the_capture_contradicts_is_no_reason():
+    text = first_screen(examined("takes_45_ms_for_each"))
+    assert "no more than 4 came in 200 ms: its task reads late, or keeps fewer of one MsgId" in text
+    assert "20 a second get through" not in text
+
+
+def test_an_event_tells_the_limit_of_an_entry_better_than_the_command(tmp_path):
+    """Builds lay the command out differently, and take another of its bytes as the limit."""
+    items = mutations.frames(FOLDER / "limit_of_none.pcap.zst")
+    for at, item in enumerate(items):
+        if mutations.is_to(item.data, 1234) and item.data[42:44] == b"\x18\x80" and item.data[48] == 2:
+            items[at] = item._replace(data=item.data[:56] + b"\x04" + item.data[57:])
+    text = first_screen(truth.examined(mutations.write(tmp_path / "flight.pcap", items)))
+    assert "TO keeps none of this MsgId (set by a command at " in text
