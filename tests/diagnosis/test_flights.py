@@ -838,7 +838,7 @@ def test_a_peer_that_cfs_refuses_until_its_table_names_it_is_refused_till_then(t
 
 @pytest.mark.parametrize(
     ("name", "most", "number"),
-    [("bridge_of_wrong_ids", 54, 140), ("bridge_of_wrong_ids", 96, 140), ("peer_of_an_older_sbn", 112, 90)],
+    [("bridge_of_wrong_ids", 54, 140), ("bridge_of_wrong_ids", 80, 140), ("peer_of_an_older_sbn", 112, 90)],
 )
 def test_what_a_peer_sent_that_cfs_may_not_know_is_uncertain(tmp_path, name, most, number):
     """The events that refuse it are cut off."""
@@ -846,6 +846,34 @@ def test_what_a_peer_sent_that_cfs_may_not_know_is_uncertain(tmp_path, name, mos
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
     rows = [row for row in found.balance if row.hop == "SBN"]
     assert (sum(row.uncertain for row in rows), sum(row.proven for row in rows)) == (number, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [
+        ("bridge_of_wrong_ids", 96),
+        ("bursts_of_poses_at_once", 96),
+        ("flood_of_four_kinds", 96),
+        ("flood_of_four_kinds", 128),  # commands to CI are whole
+        ("peer_not_heard", 96),
+        ("processor_of_peers_restarted", 96),  # SBN also hands commands on as they are
+    ],
+)
+def test_messages_that_the_capture_cut_are_compared_by_their_first_bytes(tmp_path, name, most):
+    whole, path = examined(name), FOLDER / f"{name}.pcap.zst"
+    items = mutations.cut_off(most)(mutations.frames(path), random.Random(0))
+    found = truth.examined(mutations.write(tmp_path / "cut.pcap", items))
+    assert by_cause(found) == by_cause(whole)
+    assert truth.bounds(found.as_json()) == truth.bounds(whole.as_json())
+
+
+def test_a_list_that_the_capture_cut_does_not_show_what_a_peer_left_out(tmp_path):
+    path = FOLDER / "killed_under_lists_sent_once.pcap.zst"
+    items = mutations.cut_off(96)(mutations.frames(path), random.Random(0))
+    found = truth.examined(mutations.write(tmp_path / "cut.pcap", items))
+    proven, more = truth.bounds(found.as_json())
+    assert "unsubscribed" not in by_cause(found)
+    assert proven <= FLIGHTS["killed_under_lists_sent_once"][0] <= proven + more
 
 
 def test_two_cfs_of_one_host_that_cut_frames_do_not_name_count_each_loss_once(tmp_path):
@@ -2062,7 +2090,7 @@ def test_the_goodbye_of_sbn_tells_when_it_ended_where_events_are_cut_off(tmp_pat
     """Of its restart only the command is left, which takes effect within ten seconds."""
     items = mutations.cut_off(most)(mutations.frames(FOLDER / "sbn_restarted.pcap.zst"), random.Random(0))
     found = truth.examined(mutations.write(tmp_path / "cut.pcap", items))
-    assert by_cause(found) == {"stopped": 99, "limit": 210}
+    assert by_cause(found) == {"stopped": 98, "away": 1, "limit": 210} == FLIGHTS["sbn_restarted"][1]
 
 
 def test_a_peer_whose_observer_ended_is_not_silent():

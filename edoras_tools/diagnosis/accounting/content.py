@@ -27,6 +27,7 @@ from edoras_tools.diagnosis.evidence.fingerprint import brackets, latest_equal
 from edoras_tools.diagnosis.evidence.timeline.table import NOT_RUNNING
 from edoras_tools.diagnosis.quality import binomial_tail, overlapping
 from edoras_tools.links import CFS_PORT
+from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import MIX, Integers, Mask, Places, by_key
 
@@ -96,6 +97,8 @@ def _judge(case: Case, hops: Sequence[Hop]) -> WayContent | None:
     rows, robot = case.rows, hops[0].out.link.last_hop
     out = np.unique(np.concatenate([hop.out.rows for hop in hops]))
     out = out[rows.claimed[out] == 0]  # an envelope with a wrong length has a rule of its own
+    if rows.has(Finding.CAPTURE_CUT, np.concatenate((out, *(hop.into.rows for hop in hops)))).any():
+        return None  # others may have the same values as far as they are here
     when, sent_ns = rows.time_ns[out], np.full(len(out), -1)
     late, inverted = np.zeros((2, len(out)), bool)
     for hop in hops:

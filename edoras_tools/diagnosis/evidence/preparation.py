@@ -24,7 +24,7 @@ from edoras_tools.decode.conversations import LEFT_OUT, ConversationKind, Flow
 from edoras_tools.diagnosis.evidence import copies
 from edoras_tools.diagnosis.evidence.fingerprint import latest_equal
 from edoras_tools.diagnosis.evidence.relays import before_proxy, find_relayed, one_name
-from edoras_tools.diagnosis.evidence.table import SCATTERED, Recorder, Rows, followed, number_hosts
+from edoras_tools.diagnosis.evidence.table import PRINTS, SCATTERED, Recorder, Rows, followed, number_hosts
 from edoras_tools.links.table import carrying
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Endpoint, Finding
 from edoras_tools.units import MILLISECOND, SECOND
@@ -301,19 +301,10 @@ def _emptied(rows: Rows, mask: Mask) -> Rows:
     none = {
         "msg_id": NO_MSG_ID,
         "route": NO_ROUTE,
-        "function_code": -1,
-        "mission_time_ns": -1,
-        "sbn_msg_type": -1,
-        **dict.fromkeys(("packet_length", "cdr_length", "space", "claimed", "findings"), 0),
-        **dict.fromkeys(("packet_print", "body_print", "value_print", "stamped_print", "shared_print"), 0),
+        **dict.fromkeys(("function_code", "mission_time_ns", "sbn_msg_type"), -1),
+        **dict.fromkeys(("packet_length", "cdr_length", "space", "claimed", "findings", *PRINTS[1:]), 0),
     }
-    return replace(
-        rows,
-        **{
-            name: np.where(mask, np.array(value).astype(getattr(rows, name).dtype), getattr(rows, name))
-            for name, value in none.items()
-        },
-    )
+    return replace(rows, **{name: np.where(mask, value, getattr(rows, name)) for name, value in none.items()})
 
 
 HANDED_ON_NS: Final = 2 * SECOND

@@ -45,6 +45,8 @@ SCATTERED: Final = 20
 """A capture is out of order if at least one record in this many has an earlier time than the one before."""
 _SAMPLES: Final = 4
 _ENCAPSULATION: Final = 4
+_HEAD: Final = 7
+"""First bytes of a message's body that a capture keeps on all links of cFS if it cuts frames at 96 bytes."""
 
 
 class Rows(msgspec.Struct, frozen=True):
@@ -77,6 +79,7 @@ class Rows(msgspec.Struct, frozen=True):
         restarts: i32, 1 if the count restarted here; below 0 to correct an earlier row.
         packet_print: u64, fingerprint of the whole space packet.
         body_print: u64, fingerprint of the message's bytes behind its encapsulation.
+        head_print: u64, fingerprint of the first of them; 0 if nothing near was cut by the capture.
         value_print: u64, fingerprint of the message's values without time stamps.
         stamped_print: u64, fingerprint of the message's values with time stamps.
         shared_print: u64, fingerprint of the values that a command and a robot's struct share; 0 for none.
@@ -116,6 +119,7 @@ class Rows(msgspec.Struct, frozen=True):
     restarts: NDArray[np.int32]
     packet_print: Prints
     body_print: Prints
+    head_print: Prints
     value_print: Prints
     stamped_print: Prints
     shared_print: Prints
@@ -182,6 +186,10 @@ def number_hosts(endpoints: Sequence[Endpoint]) -> NDArray[np.int32]:
     """Return the number of the address of each endpoint, i32 (endpoints,), in order of first appearance."""
     numbers: dict[str, int] = {}
     return np.array([numbers.setdefault(item.address, len(numbers)) for item in endpoints], np.int32)
+
+
+PRINTS: Final = tuple(name for name in Rows.__struct_fields__ if name.endswith("_print"))
+"""Columns with fingerprints; the first one is of whole datagrams, the others of packets and messages."""
 
 
 class Recorder:
@@ -276,14 +284,18 @@ class Recorder:
         self.payloads.add(batch, columns, self._kept)
         if self.context.structs.limited:
             self.payloads.add_limits(ColumnRows(self.context, 0, batch, columns), self._kept)
-        offset, length, space, claimed = self._messages(batch, columns)
+        offset, length, space, claimed, start = self._messages(batch, columns)
         self.states.add_messages(batch, columns, offset, length)
         body, plain, stamped = self._fingerprints(batch, columns, offset, length)
+        head = np.zeros(len(batch), np.uint64)
+        if (start != offset).any():  # those that were cut are compared with whole ones, too
+            own = np.flatnonzero(start >= 0)
+            head[own] = of_bytes(batch.data, start[own] + _ENCAPSULATION, np.full(len(own), _HEAD, np.int32))
         whole = of_bytes(batch.data, batch.offset, batch.length)
         # Most datagrams are a packet and nothing else.
-        packet, start, size = whole.copy(), columns.packet_offset, columns.packet_length
-        rest = np.flatnonzero((start != batch.offset) | (size != batch.length))
-        packet[rest] = of_bytes(batch.data, np.maximum(start[rest], 0), size[rest])
+        packet, at, size = whole.copy(), columns.packet_offset, columns.packet_length
+        rest = np.flatnonzero((at != batch.offset) | (size != batch.length))
+        packet[rest] = of_bytes(batch.data, np.maximum(at[rest], 0), size[rest])
         network, identification, life = network_headers(batch)
         if batch.streams is not None:
             # Messages of one TCP segment share its identification: number them, as no message comes twice.
@@ -313,6 +325,7 @@ class Recorder:
                 counted=sequences.stream >= 0,
                 packet_print=packet,
                 body_print=body,
+                head_print=head,
                 value_print=plain,
                 stamped_print=stamped,
                 shared_print=self._shared.fingerprints(batch, columns, offset, length),
@@ -356,18 +369,18 @@ class Recorder:
 
     def _messages(
         self, batch: PacketBatch, columns: Columns
-    ) -> tuple[Integers, NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    ) -> tuple[Integers, NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], Integers]:
         """Find the CDR messages: as decoded, and behind envelopes without a configured route.
 
         Returns:
             offset (i64) and length (i32) of each CDR, and the columns ``space`` and ``claimed`` of ``Rows``;
-            the offset is negative if there is no message.
+            the offset is negative if there is no message. Last the offset also of messages that were cut.
         """
         offset, length = columns.cdr_offset.copy(), columns.cdr_length.copy()
         payload = columns.packet_offset + columns.header_length
         end = columns.packet_offset + columns.packet_length
         space = np.where(offset >= 0, (end - offset), 0).astype(np.int32)
-        vain = np.zeros(len(batch), np.int32)
+        vain, begun = np.zeros(len(batch), np.int32), np.full(len(batch), -1)
         ids = cfe.known_ids(columns.msg_id, columns.headers)
         open_ = (offset < 0) & (columns.packet_offset >= 0) & ~np.isin(ids, list(MSG_ID_NAMES))
         which = np.where(columns.route == NO_ROUTE, -1 - VERSION_1.is_command(ids), columns.route)
@@ -383,8 +396,10 @@ class Recorder:
             shaped &= (claimed >= _ENCAPSULATION) & (claimed < 1 << 31) & (claimed <= capacity)
             routed = (columns.findings[rows] & np.uint32(Finding.ENVELOPE_OVERRUN)) != 0
             over = claimed > behind[rows].astype(np.uint64)
-            valid = (over & shaped) | routed
-            valid &= (columns.findings[rows] & np.uint32(Finding.CAPTURE_CUT)) == 0
+            is_cut = (columns.findings[rows] & np.uint32(Finding.CAPTURE_CUT)) != 0
+            starts = rows[is_cut & over & shaped & (behind[rows] >= _ENCAPSULATION + _HEAD)]
+            begun[starts] = payload[starts] + envelope.size
+            valid = ((over & shaped) | routed) & ~is_cut
             space[rows[valid]] = behind[rows[valid]]
             sign = np.where(shaped[valid], 1, -1)
             vain[rows[valid]] = sign * np.minimum(claimed[valid], (1 << 31) - 1).astype(np.int32)
@@ -392,7 +407,7 @@ class Recorder:
             offset[rows[fits]] = payload[rows[fits]] + envelope.size
             length[rows[fits]] = claimed[fits].astype(np.int32)
             space[rows[fits]] = behind[rows[fits]]
-        return offset, length, space, vain
+        return offset, length, space, vain, np.maximum(offset, begun)
 
     def _fingerprints(
         self, batch: PacketBatch, columns: Columns, offset: Integers, length: NDArray[np.int32]
@@ -459,6 +474,5 @@ def _none() -> Rows:
     kinds = {"link": "u1", "header_length": "u1", "sequence_count": "u2", "findings": "u4"}
     kinds |= dict.fromkeys(("processor_id", "spacecraft_id"), "u4")
     kinds |= {"identification": "u2", "life": "u1", "counted": "?", "streamed": "?", "undelivered": "?"}
-    prints = ("tap", *(f"{name}_print" for name in ("bytes", "packet", "body", "value", "stamped", "shared")))
-    kinds |= dict.fromkeys(prints, "u8")
+    kinds |= dict.fromkeys(("tap", *PRINTS), "u8")
     return Rows(**{name: np.zeros(0, kinds.get(name, "i8")) for name in Rows.__struct_fields__})

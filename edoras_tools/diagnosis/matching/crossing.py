@@ -5,7 +5,7 @@ Rules:
 1. A packet that cFS only forwards has the same bytes on both links.
 2. A message that an application reads and sends on has another MsgId and the same body.
 3. Values are compared, with the mission's types, only if no bodies are equal. So a result from bytes does not
-   depend on the mission.
+   depend on the mission. Of bodies that the capture cut, the first bytes are compared.
 4. Each stream that comes out has one MsgId that goes in: the one with most equal fingerprints. Only a robot
    may get messages of several MsgIds.
 5. A message that came out is matched with the latest equal message that went in before it.
@@ -45,7 +45,8 @@ _BODIES: Final = "body_print", "body_print"
 _VALUES: Final = "value_print", "value_print"
 _TO_ROBOT: Final = _BODIES, _VALUES, ("value_print", "stamped_print"), ("shared_print", "shared_print")
 """Fingerprints (in, out) for a robot: it gets the body of a message, its values, or a struct of its own."""
-_REWRITTEN: Final = _BODIES, ("stamped_print", "stamped_print"), _VALUES
+_HEADS: Final = "head_print", "head_print"
+_REWRITTEN: Final = _BODIES, ("stamped_print", "stamped_print"), _VALUES, _HEADS
 """Fingerprints (in, out) for streams of different MsgIds."""
 _TIED: Final = 8
 """Largest number of equally likely streams in, for one stream out."""
@@ -444,16 +445,16 @@ def _may_follow(into: _Ends, out: _Ends, place: Places, at: Places, kinds: tuple
     )
     robot, same = out.last_hop[at], into.msg_id[place] == out.msg_id[at]
     between = into.peers[place] & out.peers[at]
+    one, command = (into.instance[place], out.instance[at]), into.command[place]
+    anyone = (one[0] == one[1]) | (one[0] == NOBODY) | (one[1] == NOBODY)
+    # SBN never sends on what SBN itself has put on the bus.
+    handed_on = same & ~robot & ~between & anyone & (into.same[place] != out.same[at])
     if kinds in _OF_PACKETS:
-        one = into.instance[place], out.instance[at]
         # The rest of a cut packet depends on its outer headers; but a cFS uses each count only once.
         cut = (one[0] == one[1]) & (one[0] != NOBODY) & (into.cut[place] | out.cut[at])
-        anyone = (one[0] == one[1]) | (one[0] == NOBODY) | (one[1] == NOBODY)
-        fits = same & ~robot & ~between & anyone & (cut == (kinds[0] == _COUNT))
-        # SBN never sends on what SBN itself has put on the bus.
-        return np.asarray(in_time & fits & (into.same[place] != out.same[at]))
-    command = into.command[place]
+        return np.asarray(in_time & handed_on & (cut == (kinds[0] == _COUNT)))
     other = ~same & (command != out.command[at]) & (~between | (into.end[place] == out.end[at]))
+    other |= handed_on & command & (kinds == _HEADS)
     fits = np.where(robot, command & (kinds in _TO_ROBOT), other & (kinds in _REWRITTEN))
     return np.asarray(in_time & fits)
 

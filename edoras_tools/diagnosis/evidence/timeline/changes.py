@@ -31,6 +31,7 @@ from edoras_tools.cfs.arguments import SB_MSG_ID, TIME_MSG_ID
 from edoras_tools.cfs.names import housekeeping_of
 from edoras_tools.diagnosis.evidence.peers import ALREADY, SAID_GOODBYE, Connection, Network
 from edoras_tools.diagnosis.evidence.timeline.table import EVERY, NEVER, Change, StateOwner
+from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import Mask, distinct, numbered
 from edoras_tools.wire.sbn import MsgType
@@ -367,7 +368,9 @@ def _subscriptions(
         yield Change(system, subject, state, now, now + _WAKE_NS, text, (row,))
     text = f"{peer} was connected and had not subscribed to it"
     msg_ids, news_ns = np.array([item[1] for item in news]), rows.time_ns[[item[0] for item in news]]
-    for since in begins:
+    lists = np.isin(rows.sbn_msg_type[connection.heard], (MsgType.SUB, MsgType.UNSUB))
+    is_cut = (lists & rows.has(Finding.CAPTURE_CUT, connection.heard)).any()  # the rest may name it
+    for since in () if is_cut else begins:
         before = left_ns[np.searchsorted(left_ns, since) - 1]
         soon = msg_ids[(np.abs(news_ns - since) <= _WAKE_NS) & (news_ns > before)]
         for msg_id in {*msg_ids.tolist()}.difference(soon.tolist()):
