@@ -658,7 +658,9 @@ class _Counted:
         out_ns, went_ns = self._first_out
         idle = np.append(np.flatnonzero(np.diff(self._count[:end]) < self._most), end)
         until = [item for item in own[: idle[0] + 1] if item.seen_ns <= out_ns]
-        return min(most, int(self._sent_until(went_ns)) - until[-1].count) if until else most
+        most = min(most, int(self._sent_until(went_ns)) - until[-1].count) if until else most
+        # A cFS that booted with the capture has read nothing older.
+        return max(0, most) if self._boot_ns(first) > since_ns - SECOND else most
 
     def _first_count(self) -> tuple[Cause, int]:
         """Return why datagrams sent before the first count are not in it, and since when.
@@ -667,8 +669,10 @@ class _Counted:
         """
         sample = self._own[0]
         since_ns = int(self._sent_ns[0]) - 1 if len(self._sent_ns) else sample.seen_ns
-        boot_ns = self._case.instances.items[sample.instance].boot_ns(self._profile)
-        return ("down" if since_ns < boot_ns < sample.seen_ns else "network"), since_ns
+        return ("down" if since_ns < self._boot_ns(sample) < sample.seen_ns else "network"), since_ns
+
+    def _boot_ns(self, sample: _Sample) -> int:
+        return self._case.instances.items[sample.instance].boot_ns(self._profile)
 
     def _ended_ns(self, last: _Sample, first: _Sample) -> int:
         """Return until when CI read before it started again."""
@@ -693,11 +697,9 @@ class _Counted:
     def _most_read(self, own: Sequence[_Sample], until_ns: int) -> int:
         """Return the most datagrams that CI can have read until a time, by its last count and best rate."""
         seconds = max(0, until_ns - own[-1].made_ns) / SECOND
-        rates = (
-            (later.count - sooner.count) * SECOND / max(1, later.made_ns - sooner.made_ns)
-            for sooner, later in pairwise(own)
-        )
-        fastest_hz = max([self._most * SECOND / self._profile.ci_wake_ns, *rates])
+        steps_ns = np.diff([self._boot_ns(own[0]), *(item.made_ns for item in own)])
+        rates = np.diff([0, *(item.count for item in own)]) / np.maximum(1, steps_ns) * SECOND
+        fastest_hz = max([self._most * SECOND / self._profile.ci_wake_ns, *rates.tolist()])
         return own[-1].count + ceil(seconds * fastest_hz) + 2 * self._most
 
 

@@ -298,12 +298,9 @@ def _mission_times_go_back(rows: Rows, far: Places) -> bool:
 
 def _emptied(rows: Rows, mask: Mask) -> Rows:
     """Return the rows with the packets of some of them removed."""
-    none = {
-        "msg_id": NO_MSG_ID,
-        "route": NO_ROUTE,
-        **dict.fromkeys(("function_code", "mission_time_ns", "sbn_msg_type"), -1),
-        **dict.fromkeys(("packet_length", "cdr_length", "space", "claimed", "findings", *PRINTS[1:]), 0),
-    }
+    none = {"msg_id": NO_MSG_ID, "route": NO_ROUTE}
+    none |= dict.fromkeys(("function_code", "mission_time_ns", "sbn_msg_type"), -1)
+    none |= dict.fromkeys(("packet_length", "cdr_length", "space", "claimed", "findings", *PRINTS[1:]), 0)
     return replace(rows, **{name: np.where(mask, value, getattr(rows, name)) for name, value in none.items()})
 
 

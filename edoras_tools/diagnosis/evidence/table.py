@@ -45,8 +45,10 @@ SCATTERED: Final = 20
 """A capture is out of order if at least one record in this many has an earlier time than the one before."""
 _SAMPLES: Final = 4
 _ENCAPSULATION: Final = 4
+_KEPT: Final = 54
+"""Least bytes of a datagram that a capture keeps if it cuts Ethernet frames at 96."""
 _HEAD: Final = 7
-"""First bytes of a message's body that a capture keeps on all links of cFS if it cuts frames at 96 bytes."""
+"""First bytes of a message's body that are then here on each link: what is on some alone shows too little."""
 
 
 class Rows(msgspec.Struct, frozen=True):
@@ -380,7 +382,7 @@ class Recorder:
         payload = columns.packet_offset + columns.header_length
         end = columns.packet_offset + columns.packet_length
         space = np.where(offset >= 0, (end - offset), 0).astype(np.int32)
-        vain, begun = np.zeros(len(batch), np.int32), np.full(len(batch), -1)
+        vain, heads = np.zeros(len(batch), np.int32), np.full(len(batch), -1)
         ids = cfe.known_ids(columns.msg_id, columns.headers)
         open_ = (offset < 0) & (columns.packet_offset >= 0) & ~np.isin(ids, list(MSG_ID_NAMES))
         which = np.where(columns.route == NO_ROUTE, -1 - VERSION_1.is_command(ids), columns.route)
@@ -397,17 +399,16 @@ class Recorder:
             routed = (columns.findings[rows] & np.uint32(Finding.ENVELOPE_OVERRUN)) != 0
             over = claimed > behind[rows].astype(np.uint64)
             is_cut = (columns.findings[rows] & np.uint32(Finding.CAPTURE_CUT)) != 0
-            starts = rows[is_cut & over & shaped & (behind[rows] >= _ENCAPSULATION + _HEAD)]
-            begun[starts] = payload[starts] + envelope.size
+            starts = rows[is_cut & over & shaped & (batch.length[rows] >= _KEPT)]
+            heads[starts] = payload[starts] + envelope.size
             valid = ((over & shaped) | routed) & ~is_cut
-            space[rows[valid]] = behind[rows[valid]]
             sign = np.where(shaped[valid], 1, -1)
             vain[rows[valid]] = sign * np.minimum(claimed[valid], (1 << 31) - 1).astype(np.int32)
             fits = shaped & ~over & (columns.route[rows] == NO_ROUTE)
             offset[rows[fits]] = payload[rows[fits]] + envelope.size
             length[rows[fits]] = claimed[fits].astype(np.int32)
-            space[rows[fits]] = behind[rows[fits]]
-        return offset, length, space, vain, np.maximum(offset, begun)
+            space[rows[valid | fits]] = behind[rows[valid | fits]]
+        return offset, length, space, vain, np.maximum(offset, heads)
 
     def _fingerprints(
         self, batch: PacketBatch, columns: Columns, offset: Integers, length: NDArray[np.int32]

@@ -186,9 +186,8 @@ def find_hops(streams: Sequence[Stream], rows: Rows, crossing: Crossing) -> list
             is_packet = out.counted and came_by in dict(_OF_PACKETS)  # exact, so clocks may differ more
             early_ns = max(_EARLY_NS, crossing.unsteady_ns, SECOND * is_packet)
             hops.append(_match(into, out, came, went, early_ns))
-            for also, item in enumerate(
-                ways_in.streams if hops[-1].rewritten and not out.link.last_hop else ()
-            ):
+            others = ways_in.streams if hops[-1].rewritten and not out.link.last_hop else ()
+            for also, item in enumerate(others):
                 if item.msg_id == into.msg_id and item is not into and crossing.follows(item, out):
                     went = np.where(np.isin(went, came), 0, went)
                     came = ways_in.of(also, came_by)
@@ -440,9 +439,8 @@ def _scored(
 
 def _may_follow(into: _Ends, out: _Ends, place: Places, at: Places, kinds: tuple[str, str]) -> Mask:
     """Return which pairs (in, out) of streams these fingerprints can match, by MsgIds and times: bool."""
-    in_time = (out.span_ns[1, at] >= into.span_ns[0, place]) & (
-        out.span_ns[0, at] <= into.span_ns[1, place] + _LONGEST_NS
-    )
+    in_time = out.span_ns[1, at] >= into.span_ns[0, place]
+    in_time &= out.span_ns[0, at] <= into.span_ns[1, place] + _LONGEST_NS
     robot, same = out.last_hop[at], into.msg_id[place] == out.msg_id[at]
     between = into.peers[place] & out.peers[at]
     one, command = (into.instance[place], out.instance[at]), into.command[place]
@@ -455,8 +453,7 @@ def _may_follow(into: _Ends, out: _Ends, place: Places, at: Places, kinds: tuple
         return np.asarray(in_time & handed_on & (cut == (kinds[0] == _COUNT)))
     other = ~same & (command != out.command[at]) & (~between | (into.end[place] == out.end[at]))
     other |= handed_on & command & (kinds == _HEADS)
-    fits = np.where(robot, command & (kinds in _TO_ROBOT), other & (kinds in _REWRITTEN))
-    return np.asarray(in_time & fits)
+    return in_time & np.where(robot, command & (kinds in _TO_ROBOT), other & (kinds in _REWRITTEN))
 
 
 def _likely(came: Prints, went: Prints) -> bool:

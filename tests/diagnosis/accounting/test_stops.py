@@ -163,6 +163,18 @@ def test_what_was_lost_before_ci_is_not_lost_again_behind_cfs():
     assert 0 < result["lost"] + result["unaccounted"] <= truth(simulation, sent).most
 
 
+def test_what_a_cfs_counts_since_its_boot_shows_how_fast_ci_reads():
+    """The first count comes when all is over; at the usual rate CI would have read a third by then."""
+    profile = SimProfile(ci_wake_ns=100_000_000, app_msg_limit=20)
+    _, sent = fly(Flight("two-rovers", profile, 45.0, 1.0, 17, 16, ()))
+    over_ns = START_NS + 16 * SECOND
+    late = [item for item in sent if item.payload[:2] != b"\x08\x84" or item.time_ns > over_ns]
+    commands = [item for item in late if item.payload[:2] == b"\x18\x27"][::20]
+    lost = [item._replace(time_ns=item.time_ns + 1_000_000) for item in commands]  # on the network before CI
+    result = examined(sorted([*late, *lost], key=lambda item: item.time_ns))
+    assert sum(lost_of(result, msg_id)["network"] for msg_id in ("0x1827", "0x1828")) == len(lost) == 30
+
+
 def test_an_output_that_was_sent_back_here_before_excuses_no_silence():
     """It was sent elsewhere for 50 ms; a second later the network loses all telemetry for 6 s."""
     enable = telemetry_output.COMMAND_MSG_ID, telemetry_output.ENABLE
