@@ -8,8 +8,8 @@ Rules:
 2. The limit of a MsgId at a pipe is the number of messages in its full rounds, if an event names the MsgId at
    that pipe, or if the rounds have more messages than the assumed limit.
 3. The events that report losses at an application's pipe are made while Command Ingest hands over a burst. If
-   the times between them are no multiples of the assumed period, they are its period, and what came in one
-   without an event is the limit of that pipe, if that is no more than the assumed limit.
+   the times between them are no multiples of the assumed period, the shortest are its period, and what came
+   in one without an event is the limit of that pipe, if that is no more than the assumed limit.
 4. A learned period, limit or depth replaces an assumed one if they differ by more than a tenth. It never
    replaces one that a mission or an option gives.
 """
@@ -175,12 +175,14 @@ def _reported(case: Case) -> dict[str, int]:
     item, report = max(own, key=lambda both: both[1].count)
     made_ns = np.sort(case.instances.made_ns[[record.row for record in report.records]])
     begins, lost = bursts(made_ns, _BURST_NS)
-    round_ns, usual_ns = find_round(made_ns, *_BY_EVENTS), case.assumed.ci_wake_ns
-    if not round_ns or abs(round_ns / usual_ns - max(1, round(round_ns / usual_ns))) < _NEAR:
+    round_ns, steps = find_round(made_ns, *_BY_EVENTS) or 0, np.diff(made_ns[begins])
+    ratio = round_ns / case.assumed.ci_wake_ns
+    # On a host that is short of time, rounds are late, and the shortest one is the period.
+    if not round_ns or abs(ratio - max(1, round(ratio))) < _NEAR or steps.min() < (1 - _NEAR) * round_ns:
         return {}
     sent = [stream.time_ns for stream in case.streams if stream.msg_id == item.msg_id and stream.is_command]
     came = np.diff(np.searchsorted(np.sort(np.concatenate(sent)), made_ns[begins]))
-    limit = int(np.median((came - lost[1:])[np.diff(made_ns[begins]) < (1 + _NEAR) * round_ns]))
+    limit = int(np.median((came - lost[1:])[steps < (1 + _NEAR) * round_ns]))
     # If more get through, the application reads meanwhile, or requests wake Command Ingest.
     is_less = 0 < limit <= case.assumed.app_msg_limit
     return {"ci_wake_ns": round_ns, "app_msg_limit": limit} if is_less else {}

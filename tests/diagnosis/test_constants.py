@@ -76,6 +76,21 @@ def test_events_at_multiples_of_the_usual_round_show_no_other(lab, hz):
     assert (profile.ci_wake_ns, profile.app_msg_limit) == (500 * MILLISECOND, 4)
 
 
+def test_late_rounds_of_a_host_short_of_time_are_no_other_rounds(lab):
+    """Events name five bursts, one of them in time after the one before."""
+    sent, _ = lab.simulate("rover", seconds=20, hz=9.0)
+    events = [item for item in sent if b"Msg Limit Err,MsgId 0x1827" in item.payload]
+    rest, begin = [item for item in sent if item not in events], events[0].payload
+    first = int.from_bytes(begin[6:10], "big") * 65536 + int.from_bytes(begin[10:12], "big")
+    moved = []
+    for item, seconds in zip(events, (0.0, 0.630, 1.257, 2.341, 2.841), strict=False):
+        when = first + int(seconds * 65536)
+        stamp = (when // 65536).to_bytes(4, "big") + (when % 65536).to_bytes(2, "big")
+        moved.append(item._replace(payload=item.payload[:6] + stamp + item.payload[12:]))
+    profile = lab.examine(lab.merged(rest, *moved)).case.profile
+    assert (profile.ci_wake_ns, profile.app_msg_limit) == (500 * MILLISECOND, 4)
+
+
 def test_counters_of_a_big_endian_cfs_are_read_in_its_order(lab):
     sent, counters = lab.simulate("rover", seconds=40, hz=20.0)
     small, large = lab.examine(sent), lab.examine(big_endian(sent))

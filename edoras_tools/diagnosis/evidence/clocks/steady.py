@@ -282,5 +282,4 @@ def _without(rows: Rows, jump: Jump, before: Mask) -> Rows:
     later = np.arange(len(rows)) >= jump.row
     if jump.clock == "capture":
         return replace(rows, time_ns=rows.time_ns - later * jump.by_ns)
-    moved = later & ~before & rows.timed
-    return replace(rows, mission_time_ns=rows.mission_time_ns - moved * jump.by_ns)
+    return replace(rows, mission_time_ns=rows.mission_time_ns - (later & ~before & rows.timed) * jump.by_ns)
