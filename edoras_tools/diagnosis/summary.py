@@ -62,8 +62,8 @@ class Problem(msgspec.Struct, frozen=True):
         severity: severity of the first verdict; ``ERROR`` for a loss.
         verdicts: verdicts that explain it, the worst first; may be empty.
         left: messages that the queue model still loses with the remedy; None if the model cannot say.
-        of: number of messages that ``left`` refers to: all that its routes sent, if the problems with this
-            remedy cover all losses of these routes; else the losses of the problems with this remedy.
+        of: number of messages that ``left`` refers to: all that its routes sent.
+        of_lost: whether ``of`` are the losses of the problems with this remedy, because its routes have others.
         spacecraft: number of its part of the diagnosis; 0 if the diagnosis has no parts.
     """
 
@@ -74,12 +74,14 @@ class Problem(msgspec.Struct, frozen=True):
     verdicts: tuple[Verdict, ...]
     left: int | None = None
     of: int = 0
+    of_lost: bool = False
     spacecraft: int = 0
 
     @property
     def promise(self) -> str:
         """Messages that would still be lost with the remedy, in words; empty if the model cannot say."""
-        return "" if self.left is None else f"{self.left:,} of {self.of:,} (by the model)"
+        lost = " lost" * self.of_lost
+        return "" if self.left is None else f"{self.left:,} of {self.of:,}{lost} (by the model)"
 
     def as_json(self) -> dict[str, Any]:
         """Return the problem in the shape of ``doctor --json``."""
@@ -253,7 +255,8 @@ def _promising(result: Diagnosis, problems: Sequence[tuple[Problem, Sequence[Row
         keys = {row.key for row in rows}
         lost = sum(row.proven for row in result.balance if row.key in keys)
         rest = item.left if (item.left or 0) < (item.lost or 0) else None  # no gain: nothing is promised
-        yield replace(item, left=rest, of=sent_of(result, rows) if lost <= cured else cured)
+        of_lost = lost > cured
+        yield replace(item, left=rest, of=cured if of_lost else sent_of(result, rows), of_lost=of_lost)
 
 
 def _each(cause: str, own: Sequence[Verdict], lost: int, about: str) -> str:

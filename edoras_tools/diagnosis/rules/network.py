@@ -98,8 +98,6 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
     lost = [stream.time_ns[own.lost] for stream, own in case.unheard.items() if own.connection is connection]
     lost_ns = silent.within(np.concatenate([sent[:0], *lost]))
     early = 0 if silent.stood_still else len(sent) - len(lost_ns)
-    speaks_ns = silent.start_ns + connection.seldom_ns
-    quiet = int((lost_ns <= speaks_ns).sum())
     away_s = (until - silent.start_ns) / SECOND
     returned = f"back after {away_s:.1f} s" if until < case.end_ns else "not back in this capture"
     why, remedy = _why_silent(case, connection, silent)
@@ -113,10 +111,6 @@ def _timed_out(case: Case, connection: Connection, silent: PeerSilence) -> Verdi
         f"it may have heard the first {early:,}, until {case.at(int(sent[early - 1]))}" if early else "",
         f"it answered {silent.answers:,} of them when it was back"
         * (silent.stood_still and silent.answers > 0),
-        f"{quiet:,} of {'the others' if early else 'them'} until {case.at(speaks_ns)}, when a heartbeat was "
-        "due: if it fell quiet before it ended, it heard some"
-        if quiet
-        else "",
         *(
             f"event at {case.at(record.time_ns)}: {record}"
             for record in case.events_between(silent.start_ns, until + SECOND, facts.NAME)
