@@ -63,7 +63,7 @@ class Problem(msgspec.Struct, frozen=True):
         verdicts: verdicts that explain it, the worst first; may be empty.
         left: messages that the queue model still loses with the remedy; None if the model cannot say.
         of: number of messages that ``left`` refers to: all that its routes sent.
-        of_lost: whether ``of`` are the losses of the problems with this remedy, because its routes have others.
+        of_lost: whether ``of`` are the losses of these problems instead, because their routes have others.
         spacecraft: number of its part of the diagnosis; 0 if the diagnosis has no parts.
     """
 

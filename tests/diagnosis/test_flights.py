@@ -2292,3 +2292,10 @@ def test_an_event_tells_the_limit_of_an_entry_better_than_the_command(tmp_path):
             items[at] = item._replace(data=item.data[:56] + b"\x04" + item.data[57:])
     text = first_screen(truth.examined(mutations.write(tmp_path / "flight.pcap", items)))
     assert "TO keeps none of this MsgId (set by a command at " in text
+
+
+@pytest.mark.parametrize(("name", "lost"), [("killed_with_backlog", 90), ("killed_in_a_flood", 128)])
+def test_what_waited_in_the_socket_is_lost_with_the_restart(name, lost):
+    found = examined(name)
+    assert sum(row.lost.get("down", 0) for row in found.balance) == lost
+    assert sum(item.lost for item in found.verdicts if item.rule == "cfs_restart") == lost

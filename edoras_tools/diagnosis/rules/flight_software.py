@@ -392,8 +392,12 @@ def cfs_stalled(case: Case) -> Iterator[Verdict]:
 
 
 def _down(case: Case, instance: int, start_ns: int, end_ns: int) -> list[Loss]:
-    """Return what was lost while a cFS was down."""
-    near = (loss for loss in case.losses if start_ns - SECOND <= loss.start_ns <= end_ns)
+    """Return what was lost while a cFS was down, and what waited in its sockets when it ended."""
+    items = zip(case.instances.items, case.instances.systems, strict=True)
+    own = [item.first_ns for item, system in items if system == case.instances.systems[instance]]
+    own += [reset.end_ns for reset in case.resets]
+    since_ns = min(start_ns - SECOND, max((when for when in own if when < start_ns), default=start_ns))
+    near = (loss for loss in case.losses if since_ns <= loss.start_ns <= end_ns)
     down = (loss for loss in near if loss.kind == "down")
     return [loss for loss in down if not loss.stream or case.goes_to(loss.stream, instance)]
 
