@@ -157,9 +157,11 @@ def _table(
         last: title of the last column, and the function that gives its text.
         apart: argument of ``build``.
     """
+    whose = Column("cFS", lambda row: plain((row.get("instance") or "").removeprefix("cFS ")), justify="left")
     columns = [
         Column("MsgId", lambda row: msg_id_text(row) if row["msg_id"] else Text(""), justify="left"),
         Column("Topic", route_text, justify="left", elastic=True),
+        *[whose] * (len({row["instance"] for row in rows if row.get("instance")}) > 1),
         Column("Hop", lambda row: plain(row["hop"]), justify="left"),
         *(
             Column(head, _figure(name), rank=0 if name in _ALWAYS else 1)
