@@ -160,25 +160,41 @@ def find_copies(
             at, place = np.flatnonzero(far[1:]), conversation.astype(np.int64) << 16 | identification
             pairs = order[at[np.argsort(place[order[at]])]]
             out.behind_ns[_at_second(time_ns, place, pairs, np.flatnonzero(single), apart_ns)] = apart_ns
-    bare, mostly = identification == 0, _NEARLY_ALL
+    _tell_copies(out, conversation, identification != 0, repeated, elsewhere, group_size)
+    return out
+
+
+def _tell_copies(
+    out: Copies, conversation: Integers, has_id: Mask, repeated: Mask, elsewhere: Mask, group_size: Integers
+) -> None:
+    """Mark the datagrams that an equal one precedes as copies, or as duplicates (rules 1 and 2).
+
+    Args:
+        out: their marks; set here.
+        conversation: i64 (n,), number of the pair of endpoints.
+        has_id: bool (n,), it has an IPv4 identification.
+        repeated: bool (n,), an equal one precedes it.
+        elsewhere: bool (n,), and that one was captured at another place.
+        group_size: i64 (n,), number of datagrams that are equal to it, with itself.
+    """
+    bare, mostly = ~has_id, _NEARLY_ALL
     if _of_most(conversation, np.flatnonzero(repeated & bare), np.flatnonzero(bare & ~repeated)):
         mostly = _MOSTLY  # the capture doubles all datagrams that it does not miss
     own = np.flatnonzero(np.isin(conversation, distinct(conversation[repeated])))
     for _, rows in groups(conversation, own):
         steady = False
-        for has_id in (True, False):  # a counter of identifications also passes 0
-            mine = rows[(identification[rows] != 0) == has_id]
+        for numbered_ones in (True, False):  # a counter of identifications also passes 0
+            mine = rows[has_id[rows] == numbered_ones]
             twice = mine[repeated[mine]]
             if not len(twice):
                 continue
             sizes = group_size[mine[~repeated[mine]]]
-            share = float((sizes > 1).mean() if has_id else (sizes == 2).mean())
-            steady |= len(sizes) >= _LEAST_GROUPS and share >= (_STEADY if has_id else mostly)
+            share = float((sizes > 1).mean() if numbered_ones else (sizes == 2).mean())
+            steady |= len(sizes) >= _LEAST_GROUPS and share >= (_STEADY if numbered_ones else mostly)
             copied = np.ones(len(twice), bool) if steady else elsewhere[twice]
             out.copy[twice[copied]] = True
-            out.steady[twice[copied & ~elsewhere[twice] & has_id]] = True
-            out.duplicate[twice[~copied & has_id]] = True
-    return out
+            out.steady[twice[copied & ~elsewhere[twice] & numbered_ones]] = True
+            out.duplicate[twice[~copied & numbered_ones]] = True
 
 
 def _at_second(time_ns: Integers, place: Integers, pairs: Places, rows: Places, apart_ns: int) -> Places:
