@@ -32,6 +32,9 @@ from edoras_tools.wire.arrays import by_key
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    Bridges = Mapping[tuple[str, int], "BridgeCount"]
+    """Label of the link and MsgId to the count of a bag."""
+
 
 class Headline(NamedTuple):
     """One route, for one line.
@@ -252,11 +255,7 @@ class Chain(NamedTuple):
         return {**self._asdict(), "msg_id": f"0x{self.msg_id:04x}", "hops": hops}
 
 
-def chains(
-    rows: Iterable[Row],
-    topics: Mapping[int, str],
-    bridges: Mapping[tuple[str, int], BridgeCount] | None = None,
-) -> list[Chain]:
+def chains(rows: Iterable[Row], topics: Mapping[int, str], bridges: Bridges | None = None) -> list[Chain]:
     """Return the chain of each command to Command Ingest, and of each telemetry route that bags counted.
 
     Commands of cFS itself have no chain. With a mission, only its configured commands have one. Without, a
@@ -265,7 +264,7 @@ def chains(
     Args:
         rows: rows of the balance.
         topics: index of a configured route to its topic; empty without a mission.
-        bridges: (label of the link, MsgId) to the count of a bag.
+        bridges: counts of bags.
     """
     whole = summed(rows)
     mine = (row for row in whole if row.link == CI.label and row.msg_id is not None and not row.name)
@@ -283,9 +282,7 @@ def chains(
     return result
 
 
-def _hops(
-    own: Sequence[Row], whole: Sequence[Row], bridges: Mapping[tuple[str, int], BridgeCount]
-) -> Iterator[ChainHop]:
+def _hops(own: Sequence[Row], whole: Sequence[Row], bridges: Bridges) -> Iterator[ChainHop]:
     first = own[0]
     yield _bridge(PUBLISHER, bridges.get((first.link, first.msg_id or 0)), out=first.came)
     yield from map(_of_row, own)

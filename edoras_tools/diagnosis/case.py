@@ -77,6 +77,8 @@ if TYPE_CHECKING:
     from edoras_tools.model import CutDatagram, HostCounters, InterfaceOutage
     from edoras_tools.structs.bindings import Bound
 
+    ProxyFaults = Mapping[RouteWay, Proxied]
+
 _MOST: Final = 0.5
 _SLACK_NS: Final = 50 * MILLISECOND
 _FRAGMENT_BYTES: Final = 1480
@@ -202,13 +204,9 @@ class Case:
     silences_of = kept(closed.silences_of)
 
     def __init__(
-        self,
-        recorder: Recorder,
-        profile: SimProfile,
-        capture: Capture,
-        proxied: Mapping[RouteWay, Proxied] | None = None,
+        self, recorder: Recorder, profile: SimProfile, capture: Capture, proxied: ProxyFaults | None = None
     ) -> None:
-        self.proxied: Mapping[RouteWay, Proxied] = proxied or {}
+        self.proxied: ProxyFaults = proxied or {}
         self.prepared = Prepared(recorder, self.proxied, capture.astray, shared=capture.shared > 0)
         payloads = self.prepared.payloads
         rows, self.jumps, self.instances = without_steps(

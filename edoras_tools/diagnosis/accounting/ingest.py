@@ -203,18 +203,17 @@ def ingests(case: Case) -> list[Ingest]:
             account = _Counted(case, endpoint, system, mine, own).best()
             account.concede_copies(rows.time_ns[np.intersect1d(account.rows, case.prepared.duplicates)])
             accounts.append(account)
-    return [*accounts, *_by_kernel(case, to_ci, {item.endpoint for item in accounts})]
+    return [*accounts, *_by_kernel(case, every, {item.endpoint for item in accounts})]
 
 
-def _by_kernel(case: Case, to_ci: Places, endpoints: Collection[int]) -> Iterator[Ingest]:
-    """Yield an account of every CI without a count of its own whose socket's drops the kernel counted."""
-    places = distinct(case.rows.destination[to_ci]).tolist()
+def _by_kernel(case: Case, places: Sequence[int], counted: Collection[int]) -> Iterator[Ingest]:
+    """Yield an account of each of some CIs that has no count of its own, if the kernel counted its drops."""
     ports = Counter(case.endpoints[item].port for item in places)
     for endpoint in places:
         port = case.endpoints[endpoint].port
         # If two hosts use the port, nothing shows whose socket the counter is of.
-        if endpoint not in endpoints and ports[port] == 1 and (drops := case.host.by_port.get(port)):
-            mine = to_ci[case.rows.destination[to_ci] == endpoint]
+        if endpoint not in counted and ports[port] == 1 and (drops := case.host.by_port.get(port)):
+            mine = case.to_ci[case.rows.destination[case.to_ci] == endpoint]
             span, lost = case.span(mine), min(drops, len(mine))
             loss, number = IngestLoss("socket", lost, *span), len(mine) - lost
             yield Ingest(endpoint, NOBODY, mine, *span, number, [loss], by_kernel=True)
@@ -514,7 +513,7 @@ class _Counted:
             fewer: by how many the counts of this run are below the numbers sent.
         """
         own = self._own
-        most_read = done.offset + self._most_read(own[done.first : first], own[first].made_ns)
+        most_read = done.offset + self._most_read(done.first, first, own[first].made_ns)
         if self._arrived is None:
             account.lacking += self._lacking(first, done)
         least = done.offset + own[first - 1].count
@@ -531,7 +530,7 @@ class _Counted:
             first: index of the first sample after it.
         """
         sooner, later = self._own[first - 1], self._own[first]
-        run, offset = self._own[done.first : first], done.offset
+        offset, since_ns = done.offset, self._own[done.first].seen_ns
         ended_ns = self._ended_ns(sooner, later)
         blind = (end for start, end in self._case.all_holes if start < later.seen_ns and sooner.seen_ns < end)
         ended_ns = max([ended_ns, *blind])  # it may have read on while nothing was captured
@@ -541,11 +540,11 @@ class _Counted:
         stops = (item for item in self._outages() if not item.restarted and item.start_ns < later.seen_ns)
         alone: Cause = "ci_stopped" if any((one.end_ns or 0) > sooner.seen_ns for one in stops) else "restart"
         cause: Cause = "down" if self._restarts[first] else alone
-        read = self._most_read(run, read_ns)
+        read = self._most_read(done.first, first, read_ns)
         if not commands and self._arrived is None and sooner.instance == later.instance:
             # Nothing shows when it ended: it may have read on until it started again.
             surely = offset + read
-            read = self._most_read(run, later.made_ns)
+            read = self._most_read(done.first, first, later.made_ns)
             by_then = int(self._sent_until(ended_ns)) - done.lost
             account.unsure += max(0, min(by_then, offset + read) - surely)
         if self._arrived is None:
@@ -554,7 +553,7 @@ class _Counted:
         if (waited := done.offset - offset - read) > 0:
             # The datagrams that waited in its socket are lost with it.
             more = read - sooner.count
-            account.losses.append(IngestLoss(cause, waited, run[0].seen_ns, ended_ns, more=more))
+            account.losses.append(IngestLoss(cause, waited, since_ns, ended_ns, more=more))
             done.lost, done.offset = done.lost + waited, offset + read
         if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
             by_then = int(self._sent_until(min(commands)[1])) - done.lost
@@ -654,7 +653,8 @@ class _Counted:
         """
         own, first = self._own[:end], self._own[0]
         since_ns = int(self._sent_ns[0]) if len(self._sent_ns) else first.seen_ns
-        most = self._most_read(own, own[-1].made_ns + first.seen_ns - since_ns) - own[-1].count - first.count
+        most = self._most_read(0, end, own[-1].made_ns + first.seen_ns - since_ns)
+        most -= own[-1].count + first.count
         out_ns, went_ns = self._first_out
         idle = np.append(np.flatnonzero(np.diff(self._count[:end]) < self._most), end)
         until = [item for item in own[: idle[0] + 1] if item.seen_ns <= out_ns]
@@ -694,13 +694,14 @@ class _Counted:
         restarts = self._restarts_ns(int(bounds[hole]), first.seen_ns)[:1]
         return max([int(bounds[hole]), *restarts]) if hole else min(ended_ns, int(bounds[1]))
 
-    def _most_read(self, own: Sequence[_Sample], until_ns: int) -> int:
-        """Return the most datagrams that CI can have read until a time, by its last count and best rate."""
-        seconds = max(0, until_ns - own[-1].made_ns) / SECOND
-        steps_ns = np.diff([self._boot_ns(own[0]), *(item.made_ns for item in own)])
-        rates = np.diff([0, *(item.count for item in own)]) / np.maximum(1, steps_ns) * SECOND
-        fastest_hz = max([self._most * SECOND / self._profile.ci_wake_ns, *rates.tolist()])
-        return own[-1].count + ceil(seconds * fastest_hz) + 2 * self._most
+    def _most_read(self, first: int, end: int, until_ns: int) -> int:
+        """Return the most datagrams that CI can have read until a time, by a count and the best rate."""
+        count, made_ns = self._count[first:end], self._made[first:end]
+        rates = np.diff(count, prepend=0) * SECOND
+        rates = rates / np.maximum(1, np.diff(made_ns, prepend=self._boot_ns(self._own[first])))
+        fastest_hz = rates.max(initial=self._most * SECOND / self._profile.ci_wake_ns)
+        seconds = max(0, until_ns - int(made_ns[-1])) / SECOND
+        return int(count[-1]) + ceil(seconds * fastest_hz) + 2 * self._most
 
 
 def _read_by(hops: Sequence[Hop]) -> tuple[Integers, Integers]:

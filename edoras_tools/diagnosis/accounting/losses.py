@@ -330,10 +330,10 @@ def follow(case: Case, stream: Stream) -> Fate:
     """Return the fates of a stream, as far as its output in the capture decides them."""
     hops = [hop for hop in case.hops if hop.into is stream and not hop.is_copy]
     size, times = len(stream), stream.time_ns
-    arrived, followed = (
-        np.logical_or.reduce([np.zeros(size, bool), *masks])
-        for masks in ([hop.arrived for hop in hops], [hop.known for hop in hops])
-    )
+    arrived, followed = np.zeros((2, size), bool)
+    for hop in hops:
+        arrived |= hop.arrived
+        followed |= hop.known
     open_ = followed & ~arrived if hops else np.ones(size, bool)
     delay = max((_longest(hop.delays_ns) for hop in hops if len(hop.delays_ns)), default=0)
     last_ns = times[arrived][-1] if arrived.any() else 0
