@@ -1,5 +1,9 @@
 """The evidence of one capture, which all rules share.
 
+Steps of the accounting and rules ask the case for what others found. Its attributes stand in about the order
+in which they follow from each other: rows, streams, counters, states, hops, then the accounting, and texts
+for people at the end.
+
 Rules:
 
 1. The constructor prepares the rows: in order of time, without the capture's own copies, with set clocks

@@ -1,5 +1,9 @@
 """The ledger: the fate of every message, by hop. Each printed figure is a selection or a sum of its entries.
 
+In: the losses and ends of ``accounting``, and the verdicts on refused messages. Out: a ``LedgerWay`` for each
+stream, and for what only a counter shows: its hops in order, each with its entries. Only which of the lost
+arrivals are copies is decided here; all else is put at its hop. ``docs/balance.md`` is the theory.
+
 Rules:
 
 1. The unit is one arrival: a datagram that reached a hop (each copy counts), or a published sequence count.

@@ -1,5 +1,8 @@
 """How much the capture itself may have missed, where it has holes, and what the host's kernel dropped.
 
+In: rows, streams and hops. Out: ``Quality``, whose questions are ``excludes`` (can it have missed such a
+share?) and ``may_have_missed`` (how many of so many?); the spans of holes; and ``HostDrops``.
+
 A capture that drops frames at random also drops some frames that other evidence proves to have been sent. So
 this file checks datagrams that must have passed the tap because of something else in the capture:
 

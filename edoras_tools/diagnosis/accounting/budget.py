@@ -1,4 +1,8 @@
-"""The highest rate that each route can carry, from the mission and the constants of cFS alone."""
+"""The highest rate that each route can carry, from the mission and the constants of cFS alone.
+
+This is ``doctor --predict``. ``limit`` is also what verdicts and accounts assume of a link whose pipes
+nothing shows.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
 """Telemetry that is missing by its sequence counts, and where it was lost.
 
+In: the streams that cFS publishes. Out: a ``Part`` for the gaps of each span, their claims on counters, and
+once these are settled (``claims``), losses and the ends of what is not lost (``GapEnd``).
+
 Rules:
 
 1. A message that is missing from a sequence count was published between its neighbours, in cFE's time. It can
@@ -334,7 +337,10 @@ class Telemetry:
             self.claims.append(Claim(part, *span, number, kinds, (part.owner,), rank, flow))
 
     def _dropped(self, stream: Stream) -> Integers:
-        """Return how many missing messages after each row a proxy or damage explains, i64 (rows,)."""
+        """Return how many missing messages after each row a proxy or damage explains, i64 (rows,).
+
+        They are counted in ``ends`` too.
+        """
         numbers = np.zeros(len(stream), np.int64)
         dropped = self._case.faults_on(stream).counts(peers=stream.link.peers)
         damaged = self._case.damaged[stream].sequence_count.astype(np.int64).tolist()

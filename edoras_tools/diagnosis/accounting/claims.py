@@ -1,7 +1,14 @@
 """Share the growth of cFE's loss counters out to the messages that may have caused it.
 
 0x803, the software bus's housekeeping, counts lost messages (MsgLimit, PipeOverflow) without their MsgId.
-Its growth is a supply of counts; messages that did not arrive are a demand for them. Rules:
+Its growth is a supply of counts; messages that did not arrive are a demand for them.
+
+In: the ``Counts`` of each cFS (``Case.loss_counts``), and the claims of ``bus`` and ``pipes``. Out: the
+counts that each ``Claim`` got, the counts that several kinds of traffic share (``Shared``), and what is left
+in ``Counts``. ``Commands`` calls ``settle_known``, ``settle_first``, ``settle_rest`` and then
+``settle_perhaps_missed``.
+
+Rules:
 
 1. A count lies in the second between two samples of its counter, and is caused by exactly one message.
 2. A ``Claim`` is a group of messages that could have caused the same counts. Claims are served in the order

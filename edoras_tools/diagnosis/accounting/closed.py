@@ -1,5 +1,9 @@
 """Messages that nobody could receive: closed ways out, silent peers, closed ports, stopped applications.
 
+In: the states of the timeline, the peers of SBN, and ICMP errors. Out: masks and spans of such messages, for
+the steps of ``commands`` and ``bus``; ``Unheard`` and ``Unreached``, for the ledger. ``Stops`` marks messages
+in their ``Fate``, and makes losses of those that no counter has.
+
 Ways out and SBN peers:
 
 1. Telemetry that is missing while its way out was closed was not sent.

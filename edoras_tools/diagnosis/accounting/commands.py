@@ -1,5 +1,9 @@
 """The fate of every message into cFS: message by message where the way out is captured.
 
+In: the streams of the case, the accounts of CI (``ingest``), and the gaps of telemetry (``bus.Telemetry``).
+Out: a ``Fate`` for each stream into cFS, and the losses, of telemetry too: its claims on counters are settled
+here.
+
 Each step gives a fate to messages that have none yet, so the order of the steps is part of the result:
 
 1. A message that came out arrived. One that was sent so late that it may still come out is waiting.

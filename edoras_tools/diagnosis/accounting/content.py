@@ -1,5 +1,8 @@
 """Compare the values that come out of cFS with those that went in.
 
+In: the hops of the case. Out: a ``WayContent`` for each way out on which other values came out, with the
+messages that these may stand for: ``commands`` takes these for no loss at a pipe.
+
 The public EDORAS applications send on the values that they receive, unchanged. So a message that comes out
 and matches none that went in is one of these:
 

@@ -1,5 +1,8 @@
 """Datagrams lost before CI, on the network or in its socket: those sent to it against its count in 0x884.
 
+In: the datagrams to each CI, and the samples of its count. Out: an ``Ingest`` for each CI, which knows
+numbers and times, and no messages. ``BeforeCi`` then chooses the messages, in several steps of ``commands``.
+
 Rules:
 
 1. CI counts every datagram that it reads, good or bad. So at each sample of its count:

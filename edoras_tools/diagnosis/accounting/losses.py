@@ -5,6 +5,9 @@ Rules:
 1. A loss has messages of one route, lost at one place, for one cause, in one span of time.
 2. Each lost message belongs to exactly one loss. The ledger adds losses up; the rules explain them.
 3. A message of a stream is open until a loss claims it, or until it ends in another way (``End``).
+
+Every step of ``commands`` takes fates and adds to the lists of losses. The ledger makes one entry of each
+loss, and one of each end.
 """
 
 from __future__ import annotations
@@ -210,29 +213,44 @@ class Outage(NamedTuple):
 class Fate:
     """The fates of all messages of one stream into cFS.
 
+    A message is ``open`` until ``claim`` or ``end`` decides it. One that waits is opened again if nobody will
+    ever read it. The other masks say why a message may be no loss.
+
     Attributes:
         stream: stream into cFS.
         hops: pairs of this stream with those that its messages leave as; empty if the capture shows none.
+
+        Set by ``follow``, from the output; ``newer`` also when losses in front are known:
+
         arrived: bool (rows,), the message came out.
         newer: bool (rows,), it did not, but a newer message that may have replaced it did.
         open: bool (rows,), its fate is not decided yet.
         waits: bool (rows,), it may still come out.
         blind: bool (rows,), it has no fingerprint by which its output could be recognised.
         unseen: bool (rows,), it may have come out while nothing was captured.
-        ends: number of messages by their end, for messages in no loss.
-        refused: messages that cFS refused for what they contain: verdict, number, and candidates.
-        undecidable: bool (rows,), it was sent after the capture could no longer show its fate; None for none.
-        undecidable_since: fact from which on that is so, as text.
-        stops: outages of the application that surely reads them, if its way out is not captured.
-        followed: number of those that a counter has as lost, and none that was sent before them.
-        reached: number of messages that came out, if cut frames hide which ones; else None.
-        commanded: number of commands to Telemetry Output that 0x880 counts; None if unknown.
+
+        Set by ``Commands``, from what is missing behind the application; ``no_pipe`` also by ``Stops``:
+
         passed: bool (rows,), it may have come out of the application and been lost behind it.
         strange: bool (rows,), it may be a message that came out without a match: equal, or with other values.
         edge: bool (rows,), it may have come out and been lost where no later count would show that.
         no_pipe: bool (rows,), no pipe lost it: SBN did not read it, or by sequence counts as many came out.
+
+        Set by ``Stops``, from stopped applications and closed ways, and by the last steps of ``Commands``:
+
         stop: i64 (rows,), index of the stop of an application in which it was sent; -1 for none.
         counted_in_stop: index of a stop to the messages that 0x803 counted, because nobody read the pipe.
+        stops: outages of the application that surely reads them, if its way out is not captured.
+        undecidable: bool (rows,), it was sent after the capture could no longer show its fate; None for none.
+        undecidable_since: fact from which on that is so, as text.
+        followed: number of those that a counter has as lost, and none that was sent before them.
+
+        Numbers:
+
+        ends: number of messages by their end, for messages in no loss.
+        refused: messages that cFS refused for what they contain: verdict, number, and candidates.
+        reached: number of messages that came out, if cut frames hide which ones; else None.
+        commanded: number of commands to Telemetry Output that 0x880 counts; None if unknown.
     """
 
     stream: Stream

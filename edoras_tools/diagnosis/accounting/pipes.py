@@ -1,5 +1,9 @@
 """Losses at pipes: commands that did not leave cFS again, and counts that no missing message explains.
 
+In: the fates of streams into cFS, and the counters of 0x803. Out: claims, and once these are settled
+(``claims``), losses. ``Pipes`` begins with messages and looks for counts; ``Leftover`` begins with counts
+that are left.
+
 Rules:
 
 1. ``Pipes``: a message into cFS whose way out is captured and that did not come out may have been lost at its

@@ -1,5 +1,7 @@
 """Matches messages on two links: which ones crossed cFS, how long they took, and which never came out.
 
+In: streams, with the fingerprints of their rows. Out: a ``Hop`` for each pair of streams in and out of cFS.
+
 Rules:
 
 1. A packet that cFS only forwards has the same bytes on both links.

@@ -2,6 +2,9 @@
 
 One that is starved may run a little: then nothing that its scheduler asks for comes, and other packets do.
 
+In: rows, streams and the other states. Out: the state "stalled" of the cFS, or of its scheduler, for the
+timeline.
+
 Rules, all of which must hold:
 
 1. The capture has no packet of this cFS, or no housekeeping, in that time, although it sent steadily before

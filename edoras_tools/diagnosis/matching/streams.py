@@ -1,5 +1,8 @@
 """Streams: the packets of one MsgId on one link, their gaps and their rates.
 
+In: rows, and the cFS that each is from. Out: a ``Stream`` for each MsgId, with its spans; restarts of a cFS
+whose clock went on; and the rounds in which messages arrive (``comb``).
+
 Rules:
 
 1. A stream has one MsgId, one link and one cFS instance. Commands to CI of all senders are one stream, as are
