@@ -26,7 +26,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from edoras_tools.cfs import queues, telemetry_output
 from edoras_tools.diagnosis.accounting.losses import TAIL_NS, Loss
 from edoras_tools.diagnosis.accounting.pipes import more_at_once
-from edoras_tools.diagnosis.case import kept
+from edoras_tools.diagnosis.case import keep_results
 from edoras_tools.diagnosis.evidence.copies import crowding, senders_at_once
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.timeline.table import Change, StateOwner, StateSpan
@@ -220,7 +220,7 @@ def advise(case: Case, loss: Loss) -> Advice:
     return _advice(case, _key(loss))
 
 
-@kept
+@keep_results
 def _advice(case: Case, key: tuple[object, ...]) -> Advice:
     alike = [item for item in case.losses if _key(item) == key]
     # A remedy for the lowest commanded limit also helps at the other limits.
@@ -364,7 +364,7 @@ def published_into(case: Case, stream: Stream) -> Arrivals:
     return Arrivals(time_ns, msg_id).take(np.argsort(time_ns, kind="stable"))
 
 
-@kept
+@keep_results
 def published_at(case: Case, stream: Stream) -> Integers:
     """Return when each message of a stream was published, including the missing ones, ns: i64 (messages,).
 

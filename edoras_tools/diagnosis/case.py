@@ -8,8 +8,8 @@ Rules:
 
 1. The constructor prepares the rows: in order of time, without the capture's own copies, with set clocks
    corrected. Nothing changes them later.
-2. Every result is computed when it is first asked for, and kept (``cached_property``, ``kept``). Only the
-   verdicts grow.
+2. Every result is computed when it is first asked for, and kept (``cached_property``, ``keep_results``).
+   Only the verdicts grow.
 3. Messages of a stream are indices into ``Stream.rows``, whose values index ``Case.rows``. Times are
    capture times in ns.
 """
@@ -97,14 +97,14 @@ Of = ParamSpec("Of")
 Result = TypeVar("Result")
 
 
-def kept(find: Callable[Concatenate[Case, Of], Result]) -> Callable[Concatenate[Case, Of], Result]:
+def keep_results(find: Callable[Concatenate[Case, Of], Result]) -> Callable[Concatenate[Case, Of], Result]:
     """Let a function of a case be asked once for the same arguments: the case keeps its results."""
 
     @wraps(find)
-    def ask(case: Case, /, *args: Of.args, **named: Of.kwargs) -> Result:
+    def ask(case: Case, /, *args: Of.args, **options: Of.kwargs) -> Result:
         results: dict[Any, Result] = case.results.setdefault(find, {})
         if args not in results:
-            results[args] = find(case, *args, **named)
+            results[args] = find(case, *args, **options)
         return results[args]
 
     return ask
@@ -186,7 +186,7 @@ class Case:
         proxied: (link, direction, MsgId) to the faults that a proxy injected.
         verdicts: verdicts of the rules that ran so far.
         refused: verdicts about messages that cFS refused because of what they contain.
-        results: function to its results by arguments, of those that are ``kept``.
+        results: function to its results by arguments, of those with ``keep_results``.
         constants: constants of cFS, with those that were learned from the capture.
         quality: upper bounds of the share of datagrams that the capture missed.
         ingests: accounts of CI, one for each CI.
@@ -205,7 +205,7 @@ class Case:
     unreached = cached_property(closed.unreached)
     contents = cached_property(judge_contents)
     ledger = cached_property(MessageLedger)
-    silences_of = kept(closed.silences_of)
+    silences_of = keep_results(closed.silences_of)
 
     def __init__(
         self, recorder: Recorder, profile: SimProfile, capture: Capture, proxied: ProxyFaults | None = None
@@ -534,7 +534,7 @@ class Case:
         times = self.times(stream)
         return comb(times[(times >= span.start_ns) & (times <= span.end_ns)])
 
-    @kept
+    @keep_results
     def times(self, stream: Stream) -> Integers:
         """Return when a stream's MsgId left its pipe, i64 ns, of all publishers: they share its limit."""
         own = stream.sender, stream.msg_id
@@ -545,19 +545,19 @@ class Case:
         ]
         return np.sort(np.concatenate(alike))
 
-    @kept
+    @keep_results
     def leaving(self, pipe: PipeEnd) -> Integers:
         """Return when packets of any MsgId left a pipe, i64 ns."""
         own = (self.rows.link == pipe.link) & (self.rows.source == pipe.sender)
         own &= (pipe.receiver == NOBODY) | (self.rows.destination == pipe.receiver)
         return self.rows.time_ns[own]
 
-    @kept
+    @keep_results
     def arriving(self, receiver: int) -> Integers:
         """Return when datagrams were sent to an endpoint, i64 ns, in order."""
         return np.sort(self.rows.time_ns[self.rows.destination == receiver])
 
-    @kept
+    @keep_results
     def measured_depth(self, pipe: PipeEnd, period_ns: int) -> int:
         """Return the depth of a pipe, as its largest round shows it."""
         return measured_depth(self.leaving(pipe), period_ns)
@@ -581,7 +581,7 @@ class Case:
         """Stream to the hop that feeds it with unchanged packets, if there is one."""
         return {hop.out: hop for hop in reversed(self.hops) if not hop.rewritten}
 
-    @kept
+    @keep_results
     def owner(self, stream: Stream) -> int:
         """Return the instance whose pipe a telemetry stream comes out of; ``NOBODY`` if unknown."""
         start_ns = int(stream.time_ns[0])
@@ -604,7 +604,7 @@ class Case:
         spacecraft, _, processor = self.network.identity_of.get(stream.receiver, "").partition(":")
         return sbn.peer_pipe(Peer(int(spacecraft), int(processor))) if processor else "pipe of an SBN peer"
 
-    @kept
+    @keep_results
     def into_system(self, stream: Stream, system: int) -> bool:
         """Return whether a stream into cFS may arrive at a system; True if nothing is known of it."""
         members = [at for at, other in enumerate(self.instances.systems) if other == system]
@@ -780,7 +780,7 @@ class Case:
         own = self._events_of(apps, frozenset(event_ids))
         return own[bisect_left(own, start_ns, key=_TIME) : bisect_right(own, end_ns, key=_TIME)]
 
-    @kept
+    @keep_results
     def _events_of(self, apps: tuple[str, ...], ids: frozenset[int]) -> list[EventRecord]:
         """Return the events of some applications with some numbers; empty ones mean all."""
         own = (item for item in self.payloads.events if not apps or item.app in apps)

@@ -652,8 +652,8 @@ class _Market:
                 fresh = [at for at in within if at not in reached and at not in dead]
                 reached.update(fresh)
                 yield place, giver, fresh
-                held = ((other, at) for at in fresh for other in self._claims[at].assigned)
-                todo += [(other, at) for other, at in held if other[:2] in self.tables]
+                moves = ((other, at) for at in fresh for other in self._claims[at].assigned)
+                todo += [(other, at) for other, at in moves if other[:2] in self.tables]
 
 
 def shares(number: int, most: Sequence[int]) -> list[int]:

@@ -209,13 +209,13 @@ def ingests(case: Case) -> list[Ingest]:
     return [*accounts, *_by_kernel(case, every, {item.endpoint for item in accounts})]
 
 
-def _by_kernel(case: Case, places: Sequence[int], counted: Collection[int]) -> Iterator[Ingest]:
-    """Yield an account of each of some CIs that has no count of its own, if the kernel counted its drops."""
+def _by_kernel(case: Case, places: Sequence[int], others: Collection[int]) -> Iterator[Ingest]:
+    """Yield an account of each CI but some others, if the kernel counted the drops of its socket."""
     ports = Counter(case.endpoints[item].port for item in places)
     for endpoint in places:
         port = case.endpoints[endpoint].port
         # If two hosts use the port, nothing shows whose socket the counter is of.
-        if endpoint not in counted and ports[port] == 1 and (drops := case.host.by_port.get(port)):
+        if endpoint not in others and ports[port] == 1 and (drops := case.host.by_port.get(port)):
             mine = case.to_ci[case.rows.destination[case.to_ci] == endpoint]
             span, lost = case.span(mine), min(drops, len(mine))
             loss, number = IngestLoss("socket", lost, *span), len(mine) - lost
@@ -286,7 +286,7 @@ def _endpoint(case: Case, places: Sequence[int], own: Sequence[_Sample]) -> int 
     return fits[0] if len(fits) == 1 else None
 
 
-class _Progress(msgspec.Struct):
+class _Past(msgspec.Struct):
     """What the runs of a CI so far have shown: from one restart to the next.
 
     Attributes:
@@ -416,7 +416,7 @@ class _Counted:
         account = Ingest(self._endpoint, self._system, self._rows, own[0].seen_ns, own[-1].seen_ns)
         unsteady_ns = self._case.unsteady_ns
         sent = np.searchsorted(self._sent_ns, self._seen + unsteady_ns - least_ns, "right")
-        done = _Progress()
+        past = _Past()
         for first, end in pairwise([0, *self._starts, len(own)]):
             part = slice(first, end)
             high = sent[part] - count[part]
@@ -425,9 +425,9 @@ class _Counted:
             low = np.where(emptied_ns <= 0, -_MODULUS, self._sent_until(emptied_ns) - count[part])
             if self._resets[first]:
                 low[0] = -_MODULUS  # datagrams may have waited then
-                begin = self._reset(account, done, first, _fewer(low, high))
+                begin = self._reset(account, past, first, _fewer(low, high))
             elif first:
-                begin = self._restarted(account, done, first)
+                begin = self._restarted(account, past, first)
             else:
                 begin = self._first_count()
                 if busy[1:2].any() or ((sent[part][1:2] == 0) & (np.diff(count[part][:2]) > 0)).any():
@@ -436,30 +436,30 @@ class _Counted:
                 exact = low[0] <= 0 == high.min() == high[-1]  # in all it read just what the capture shows
                 # It is 0 if all that the first count has can be in the capture.
                 older = 0 if low[0] <= 0 <= high.min() else _fewer(low, high)
-                done.offset = min(older, self._most_older(end)) * (begin[0] != "down" and not exact)
-                account.offset = done.offset
-                low[0] = min(low[0], max(done.offset, high.min()))  # a datagram counted later was not lost
+                past.offset = min(older, self._most_older(end)) * (begin[0] != "down" and not exact)
+                account.offset = past.offset
+                low[0] = min(low[0], max(past.offset, high.min()))  # a datagram counted later was not lost
             drained = np.diff(count[part], prepend=count[first]) < most
             blind = not first and self._arrived is None
             # Datagrams from before the capture may wait too; they are no losses of this capture.
-            high = high - done.offset if first else np.minimum(high - done.offset, sent[part])
+            high = high - past.offset if first else np.minimum(high - past.offset, sent[part])
             # Those from before the capture that it reads until then.
             until = int(np.searchsorted(self._seen[part], account.older_until_ns, "right"))
             older = np.maximum(0, count[part][max(0, until - 1)] - count[part])
             beyond = high + older + 2 * most - self._profile.socket_queue
-            run = _Run(self._seen[part], low - done.offset, high, drained, beyond, blind)
-            last_read = np.clip(done.lost + done.offset + count[part], 1, len(self._sent_ns)) - 1
-            done.lag_ns = int((self._seen[part] - self._sent_ns[last_read]).min())
-            done.lost = _follow(account, run, done.lost, begin, done.room)
-            if blind and done.offset and not busy[1:2].any():
+            run = _Run(self._seen[part], low - past.offset, high, drained, beyond, blind)
+            last_read = np.clip(past.lost + past.offset + count[part], 1, len(self._sent_ns)) - 1
+            past.lag_ns = int((self._seen[part] - self._sent_ns[last_read]).min())
+            past.lost = _follow(account, run, past.lost, begin, past.room)
+            if blind and past.offset and not busy[1:2].any():
                 self._doubt_first(account, int(emptied_ns[0]))
-            account.waiting = max(0, int(run.high[-1]) - done.lost)
-            done.first, done.crowded = first, bool(busy[-1])
+            account.waiting = max(0, int(run.high[-1]) - past.lost)
+            past.first, past.crowded = first, bool(busy[-1])
             idle = np.flatnonzero(drained[1:])
-            done.idle_ns = int(self._seen[first + 1 + idle[-1]]) if len(idle) else done.idle_ns
+            past.idle_ns = int(self._seen[first + 1 + idle[-1]]) if len(idle) else past.idle_ns
         if account.older_until_ns and account.offset < 0 and not account.losses:
             self._end_backlog(account, int(sent[-1]))
-        account.read_count = int(sent[-1]) - done.lost - account.waiting
+        account.read_count = int(sent[-1]) - past.lost - account.waiting
         account.unread = max(0, account.waiting - int(sent[-1] - self._sent_until(own[-1].made_ns)))
         self._stop(account)
         return account
@@ -504,36 +504,36 @@ class _Counted:
         if until < len(rising):
             account.older_until_ns = int(self._seen[until])
 
-    def _reset(self, account: Ingest, done: _Progress, first: int, fewer: int) -> tuple[Cause, int]:
+    def _reset(self, account: Ingest, past: _Past, first: int, fewer: int) -> tuple[Cause, int]:
         """Return cause and begin of the losses at a reset of its counters: it ran on.
 
         Until then it read at most what it can.
 
         Args:
             account: the account.
-            done: the runs before.
+            past: the runs before.
             first: index of the first sample after it.
             fewer: by how many the counts of this run are below the numbers sent.
         """
         own = self._own
-        most_read = done.offset + self._most_read(done.first, first, own[first].made_ns)
+        most_read = past.offset + self._most_read(past.first, first, own[first].made_ns)
         if self._arrived is None:
-            account.lacking += self._lacking(first, done)
-        least = done.offset + own[first - 1].count
-        done.offset = min(fewer - done.lost, most_read - own[first].count)
-        done.room += max(0, done.offset - least)
-        return ("socket" if done.crowded else "network"), done.idle_ns
+            account.lacking += self._lacking(first, past)
+        least = past.offset + own[first - 1].count
+        past.offset = min(fewer - past.lost, most_read - own[first].count)
+        past.room += max(0, past.offset - least)
+        return ("socket" if past.crowded else "network"), past.idle_ns
 
-    def _restarted(self, account: Ingest, done: _Progress, first: int) -> tuple[Cause, int]:
+    def _restarted(self, account: Ingest, past: _Past, first: int) -> tuple[Cause, int]:
         """Return cause and begin of the losses by a restart.
 
         Args:
             account: the account; datagrams lost with the closed socket are added to it.
-            done: the runs before; what was lost and read until the restart is set here.
+            past: the runs before; what was lost and read until the restart is set here.
             first: index of the first sample after it.
         """
         sooner, later = self._own[first - 1], self._own[first]
-        offset, since_ns = done.offset, self._own[done.first].seen_ns
+        offset, since_ns = past.offset, self._own[past.first].seen_ns
         ended_ns = self._ended_ns(sooner, later)
         blind = (end for start, end in self._case.all_holes if start < later.seen_ns and sooner.seen_ns < end)
         ended_ns = max([ended_ns, *blind])  # it may have read on while nothing was captured
@@ -543,40 +543,40 @@ class _Counted:
         stops = (item for item in self._outages() if not item.restarted and item.start_ns < later.seen_ns)
         alone: Cause = "ci_stopped" if any((one.end_ns or 0) > sooner.seen_ns for one in stops) else "restart"
         cause: Cause = "down" if self._restarts[first] else alone
-        read = self._most_read(done.first, first, read_ns)
+        read = self._most_read(past.first, first, read_ns)
         if not commands and self._arrived is None and sooner.instance == later.instance:
             # Nothing shows when it ended: it may have read on until it started again.
             surely = offset + read
-            read = self._most_read(done.first, first, later.made_ns)
-            by_then = int(self._sent_until(ended_ns)) - done.lost
+            read = self._most_read(past.first, first, later.made_ns)
+            by_then = int(self._sent_until(ended_ns)) - past.lost
             account.unsure += max(0, min(by_then, offset + read) - surely)
         if self._arrived is None:
-            account.lacking += self._lacking(first, done)
-        done.offset = int(self._sent_until(ended_ns)) - done.lost
-        if (waited := done.offset - offset - read) > 0:
+            account.lacking += self._lacking(first, past)
+        past.offset = int(self._sent_until(ended_ns)) - past.lost
+        if (waited := past.offset - offset - read) > 0:
             # The datagrams that waited in its socket are lost with it.
             more = read - sooner.count
             account.losses.append(IngestLoss(cause, waited, since_ns, ended_ns, more=more))
-            done.lost, done.offset = done.lost + waited, offset + read
+            past.lost, past.offset = past.lost + waited, offset + read
         if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
-            by_then = int(self._sent_until(min(commands)[1])) - done.lost
-            account.unsure += max(0, done.offset - max(offset + sooner.count, by_then))
+            by_then = int(self._sent_until(min(commands)[1])) - past.lost
+            account.unsure += max(0, past.offset - max(offset + sooner.count, by_then))
         if cause == "down" and self._arrived is None:
             until_ns = min(self._next_sign_ns(sooner.instance, ended_ns), later.made_ns)
             if restarts := self._restarts_ns(ended_ns - self._profile.ci_wake_ns, until_ns):
                 ended_ns = max(ended_ns, restarts[0])  # it may have read what came with the command
-                done.offset = int(self._sent_until(ended_ns)) - done.lost
+                past.offset = int(self._sent_until(ended_ns)) - past.lost
                 until_ns = ended_ns + self._profile.ci_wake_ns
             account.ended.append((ended_ns, until_ns))
-            done.offset += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
+            past.offset += int(self._sent_until(until_ns) - self._sent_until(ended_ns))
             ended_ns = until_ns
         return cause, ended_ns
 
-    def _lacking(self, first: int, done: _Progress) -> int:
+    def _lacking(self, first: int, past: _Past) -> int:
         """Return how many sent until the last count before a restart that count, and those before, lack."""
         sooner = self._own[first - 1]
-        sent = int(self._sent_until(sooner.seen_ns - done.lag_ns))
-        return max(0, sent - done.lost - done.offset - sooner.count)
+        sent = int(self._sent_until(sooner.seen_ns - past.lag_ns))
+        return max(0, sent - past.lost - past.offset - sooner.count)
 
     def _restarts_ns(self, start_ns: int, end_ns: int) -> list[int]:
         """Return the times of commands between two times that restart its cFS."""
@@ -983,7 +983,7 @@ class BeforeCi:
             number: upper bound.
             evidence: lines that show it.
         """
-        done = 0
+        total = 0
         for fate, inside, share in _divided(number, may):
             # Messages after the last one that came out cannot have been superseded.
             last = int(np.flatnonzero(fate.arrived)[-1]) if fate.arrived.any() else inside[-1]
@@ -991,8 +991,8 @@ class BeforeCi:
             rows = np.union1d(sure, _spread_evenly(np.setdiff1d(inside, sure), share - len(sure)))
             fate.claim(rows)
             self.losses.append(fate.loss(loss.cause, rows, evidence, among=inside))
-            done += share
-        return done
+            total += share
+        return total
 
     def outnumbered(self, account: Ingest) -> None:
         """Make losses before CI of messages that did not come out and that CI cannot have read (rule 10)."""

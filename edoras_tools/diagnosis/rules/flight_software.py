@@ -17,7 +17,7 @@ from edoras_tools.cfs.software_bus import NAME, STOPS_AFTER
 from edoras_tools.diagnosis.accounting.closed import boots
 from edoras_tools.diagnosis.accounting.losses import LEAD_NS, Loss, Outage
 from edoras_tools.diagnosis.advice import LET_RUN
-from edoras_tools.diagnosis.case import kept
+from edoras_tools.diagnosis.case import keep_results
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.evidence.loss_reports import parse_loss_event
 from edoras_tools.diagnosis.evidence.timeline.table import StateOwner, Way
@@ -123,7 +123,7 @@ def _next_ns(silence: Silence) -> int:
     return silence.start_ns + (_SLACK_NS + int(SECOND / silence.rate.hz) if silence.rate else _NEAR_NS)
 
 
-@kept
+@keep_results
 def _every(case: Case) -> list[Silence]:
     """Return every silence of what cFS or an SBN peer publishes steadily."""
     silences: list[Silence] = []
