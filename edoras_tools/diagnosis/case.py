@@ -103,9 +103,9 @@ def keep_results(find: Callable[Concatenate[Case, Of], Result]) -> Callable[Conc
     @wraps(find)
     def ask(case: Case, /, *args: Of.args, **options: Of.kwargs) -> Result:
         results: dict[Any, Result] = case.results.setdefault(find, {})
-        if args not in results:
-            results[args] = find(case, *args, **options)
-        return results[args]
+        if (key := (*args, *options.items())) not in results:
+            results[key] = find(case, *args, **options)
+        return results[key]
 
     return ask
 
