@@ -597,6 +597,10 @@ class Case:
         changes = self.timeline.entry(stream.msg_id, system) if stream.link.only_from_cfs else []
         return changes[-1].limit if changes else None
 
+    def queue_of(self, stream: Stream) -> queues.Queue:
+        """Return the model of the pipe that a telemetry stream comes out of."""
+        return (queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe)(self.profile)
+
     def pipe_of(self, stream: Stream) -> str:
         """Return the name of the pipe that a telemetry stream comes out of."""
         if stream.link.only_from_cfs:

@@ -444,7 +444,7 @@ class Telemetry:
         part.evidence += [text] if part.missing else []
         window = span.start_ns - LEAD_NS, span.end_ns + TAIL_NS
         kinds: list[tuple[int, PipeKind]] = []
-        queue = (queues.peer_pipe if stream.link.peers else queues.telemetry_pipe)(case.profile)
+        queue = case.queue_of(stream)
         rounds, limit = case.rounds(stream, span), case.commanded_limit(stream) or queue.limit(stream.msg_id)
         larger = rounds.most > limit and rounds.share < _MOSTLY
         counts = self._counts.get(part.owner)

@@ -721,7 +721,7 @@ class Commands:
         for part in self.telemetry.parts:
             stream = part.stream
             if part.kinds and stream in out and part.span.last == len(stream) - 1 and len(times):
-                next_ = (queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe)(profile)
+                next_ = self._case.queue_of(stream)
                 passed = int(np.ptp(times) // next_.round_ns) * next_.limit(stream.msg_id)
                 lost.append(len(times) - passed)
         return min(fate.waiting, max([0, *lost]))

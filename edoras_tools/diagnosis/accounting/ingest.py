@@ -499,9 +499,9 @@ class _Counted:
         """
         rest = self._sent_until(account.older_until_ns)
         more = ceil(largest_share(max(1, sent - int(rest)), 0) * int(rest))
-        rising = self._count[: min([*self._starts, int(np.searchsorted(self._seen, account.older_until_ns))])]
-        until = int(np.searchsorted(rising, more - account.offset))
-        if until < len(rising):
+        end = min([*self._starts, int(np.searchsorted(self._seen, account.older_until_ns))])
+        until = int(np.searchsorted(self._count[:end], more - account.offset))
+        if until < end:
             account.older_until_ns = int(self._seen[until])
 
     def _reset(self, account: Ingest, past: _Past, first: int, fewer: int) -> tuple[Cause, int]:
@@ -555,8 +555,7 @@ class _Counted:
         past.offset = int(self._sent_until(ended_ns)) - past.lost
         if (waited := past.offset - offset - read) > 0:
             # The datagrams that waited in its socket are lost with it.
-            more = read - sooner.count
-            account.losses.append(IngestLoss(cause, waited, since_ns, ended_ns, more=more))
+            account.losses.append(IngestLoss(cause, waited, since_ns, ended_ns, more=read - sooner.count))
             past.lost, past.offset = past.lost + waited, offset + read
         if commands and (self._arrived is None or not self._all_out):  # it may have ended at once
             by_then = int(self._sent_until(min(commands)[1])) - past.lost

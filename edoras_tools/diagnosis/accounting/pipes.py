@@ -307,8 +307,7 @@ def pressed(case: Case, stream: Stream, span: Span, kind: PipeKind, missing: Int
         missing: i64 (rows of the stream,), number of messages missing after each row.
         full: the whole pipe overflowed, so that bursts do not show the limit of one MsgId.
     """
-    profile, output, own = case.profile, stream.link.only_from_cfs, stream.time_ns
-    queue = queues.telemetry_pipe(profile) if output else queues.peer_pipe(profile)
+    queue, output, own = case.queue_of(stream), stream.link.only_from_cfs, stream.time_ns
     period, limit = queue.round_ns, queue.limit(stream.msg_id)
     if case.unsteady_ns:  # with wrong times no round can be recognised, but what is rare fills none
         most = min(limit, case.commanded_limit(stream) or limit)
@@ -600,7 +599,7 @@ class Leftover:
         case, same = self._case, Counter((item.sender, item.msg_id) for item in self._case.streams)
         for stream in (item for item in case.streams if item.counted and not item.link.only_to_cfs):
             at, last_ns = case.owner(stream), int(stream.time_ns[-1])
-            pipe = (queues.telemetry_pipe if stream.link.only_from_cfs else queues.peer_pipe)(case.profile)
+            pipe = case.queue_of(stream)
             limit = case.commanded_limit(stream) or pipe.limit(stream.msg_id)
             alone = at in self._counts and same[stream.sender, stream.msg_id] == 1
             if alone and len(_full(stream.time_ns[-limit:], pipe.round_ns, limit)):
