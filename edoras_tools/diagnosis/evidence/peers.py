@@ -252,10 +252,10 @@ class Connection:
     def _hushed_ns(self, times: Integers) -> int:
         """Return how long a peer that speaks at these times is silent only if it does not run, ns.
 
-        Silence says nothing where everything ends, so the observer must have gone on sending to it.
+        Silence says nothing where everything ends, so it must have answered, and be sent to.
         """
-        steps = np.diff(times)[-_MANY_STEPS:]
-        often = len(steps) == _MANY_STEPS and (self.sent_ns > times[-1] + steps.max()).any()
+        steps, answering = np.diff(times)[-_MANY_STEPS:], 2 * len(self._answers) >= len(self.sent_ns)
+        often = len(steps) == _MANY_STEPS and (self.sent_ns > times[-1] + steps.max()).any() and answering
         quiet_ns = max(_SHORT_NS, _FACTOR * int(steps.max())) if often else _NEVER
         return _NEVER if self.streamed else min(self.seldom_ns, quiet_ns)
 

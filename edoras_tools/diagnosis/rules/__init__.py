@@ -71,7 +71,7 @@ SINGLE: Final = frozenset(
     {
         *("struct_overrun", "ci_cut", "ground_bridge_buffer", "flight_bridge_length", "bad_command"),
         *("no_subscriber", "bad_network_message", "wrong_ident", "wrong_protocol_version", "unknown_peer"),
-        *("wrong_type", "host_drops"),
+        *("wrong_type", "host_drops", "not_cfs"),
     }
 )
 """Rules about messages that come to nothing by what they are; asked first: the balance has their figures."""

@@ -14,11 +14,13 @@ from edoras_tools.links import table
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import by_value, groups
+from edoras_tools.wire.sbn import MsgType
 from edoras_tools.words import plural, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from edoras_tools.decode.conversations import Flow
     from edoras_tools.diagnosis.case import Case
 
 AWAY = "is away: what has been sent since"
@@ -116,25 +118,41 @@ def stream_gap(case: Case) -> Iterator[Verdict]:
 def not_cfs(case: Case) -> Iterator[Verdict]:
     """Traffic on the links' ports that is not cFS's: left out; what reached a cFS is told by sender.
 
-    One line for each port, and one verdict for each stranger.
+    One line for each port, and one verdict for each stranger. What an SBN peer sends there is lost.
     """
-    flows = case.prepared.flows
-    peers = {case.endpoints[end]: name for end, name in case.network.identity_of.items()}
+    flows, peers = case.prepared.flows, {case.endpoints[end]: end for end in case.network.identity_of}
     for line in foreign(flow for flow in flows if flow.kind is ConversationKind.FOREIGN):
         yield note(line, hop="capture", remedy="none; another program uses this port, and no cFS gets it")
     for flow in flows:
-        if flow.kind is ConversationKind.STRANGER:
-            remedy = f"another program at {flow.source.address} sends to this port; move it"
-            if peer := peers.get(flow.source):
-                remedy = f"let SBN peer {peer} send to SBN's port: what it sends here is lost"
+        if flow.kind is ConversationKind.STRANGER and flow.source in peers:
+            yield _astray(case, flow, peers[flow.source])
+        elif flow.kind is ConversationKind.STRANGER:
             yield warning(
                 f"{flow.datagrams:,} datagrams on port {flow.destination.port} do not look like cFS, left "
                 f"out: {flow.source} sends them to {flow.destination}, where {flow.link.name} is",
                 "none of them is a packet whose length agrees, or has a MsgId that is known",
                 place=(flow.link.label, str(flow.source)),
                 span=(flow.first_ns, flow.last_ns),
-                remedy=remedy,
+                remedy=f"another program at {flow.source.address} sends to this port; move it",
             )
+
+
+def _astray(case: Case, flow: Flow, end: int) -> Verdict:
+    """Say that an SBN peer sends to another link's port: its messages are known by their sizes."""
+    rows, peer, there = case.rows, case.network.identity_of[end], case.endpoints.index(flow.destination)
+    own, app = rows.source == end, rows.sbn_msg_type == MsgType.APP
+    sizes = np.setdiff1d(rows.length[own & app], rows.length[own & (rows.sbn_msg_type >= 0) & ~app])
+    number = int((own & (rows.destination == there) & np.isin(rows.length, sizes)).sum())
+    return verdict(
+        Severity.ERROR if number else Severity.WARNING,
+        f"SBN peer {peer} sends to {flow.destination}, where {flow.link.name} is: nobody takes what it sends",
+        f"{plural(flow.datagrams, 'datagram')} went there, {number:,} of them as long as its messages are",
+        place=(flow.link.label, f"{flow.link.name}, which takes no SBN"),
+        lost=number or None,
+        of=number or None,
+        span=(flow.first_ns, flow.last_ns),
+        remedy=f"let SBN peer {peer} send to SBN's port: what it sends here is lost",
+    )
 
 
 def captured_twice(case: Case) -> Iterator[Verdict]:

@@ -565,23 +565,30 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
     rows = case.rows
     came_out = np.concatenate([np.zeros(0, np.intp), *(hop.into.rows[hop.in_rows] for hop in case.hops)])
     msg_ids = [hop.into.msg_id for hop in case.hops]
-    for who, members in groups(rows.sbn_sender(), np.flatnonzero(_foreign(case, came_out))):
+    # The length of a space packet without SBN's header lies where SBN has the processor.
+    bare = (rows.link == SBN) & (rows.length > 7) & (rows.processor_id >> 8 == rows.length - 7)
+    for who, members in groups(rows.sbn_sender(), np.flatnonzero(_foreign(case, came_out) | bare)):
         peer, start_ns = peer_of(who), case.span(members)[0]
         lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
-        messages = members[rows.sbn_msg_type[members] == sbn.MsgType.APP]
+        messages = members[bare[members] | (rows.sbn_msg_type[members] == sbn.MsgType.APP)]
         came, followed = np.isin(messages, came_out), np.isin(rows.msg_id[messages], msg_ids)
         usual = case.network.identity_of.get(int(rows.source[members[0]]))
-        if 2 * came.sum() > len(messages) or (not lines and usual == str(peer)):
+        if 2 * came.sum() > len(messages) or not (lines or usual != str(peer) or bare[members].all()):
             continue  # most there are its own: one that spoke before it is the other
         usual_place = f", which is not the peer known at {case.endpoints[rows.source[members[0]]]}"
         usual_place *= usual != str(peer)
+        remedy = "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
+        if bare[members].all():
+            usual_place, remedy = (
+                ", which are packets without SBN's header",
+                "send them to Command Ingest's port",
+            )
         refused = _refused(
             case,
             members,
             f"SBN messages of {peer}{usual_place}: "
             + ("cFS refuses them" if lines else "a cFS whose table does not name it refuses them"),
-            "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
-            + _CRASH * bool(rows.streamed[members].any()),
+            remedy + _CRASH * bool(rows.streamed[members].any()),
             lines,
             f", the first of {len(members):,} datagrams" * (len(members) > 1),
         )
