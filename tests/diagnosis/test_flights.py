@@ -2126,7 +2126,8 @@ def test_a_cfs_that_hardly_runs_is_named_once():
 
 def test_a_peer_that_sends_to_another_port_still_reads():
     found = examined("sent_to_the_wrong_link")
-    assert found.lost + found.unaccounted == 0
+    assert (found.lost, found.unaccounted) == (54, 0)
+    assert [item.msg_id for item in found.balance if item.all_lost] == [None]
     assert "let SBN peer 66:3 send to SBN's port" in first_screen(found)
 
 
@@ -2299,3 +2300,16 @@ def test_what_waited_in_the_socket_is_lost_with_the_restart(name, lost):
     found = examined(name)
     assert sum(row.lost.get("down", 0) for row in found.balance) == lost
     assert sum(item.lost for item in found.verdicts if item.rule == "cfs_restart") == lost
+def test_packets_without_the_header_of_sbn_are_no_peer(tmp_path):
+    items, number = mutations.frames(FOLDER / "peer_takes_poses_too.pcap.zst"), 0
+    for at, item in enumerate(items):
+        inside = 10 * SECOND < item.time_ns - items[0].time_ns < 14 * SECOND
+        if inside and mutations.is_to(item.data, 1234) and item.data[42:44] == b"\x18\x27":
+            place, number = mutations.PORT, number + 1
+            data = item.data[:place] + (2234).to_bytes(2, "big") + item.data[place + 2 :]
+            items[at] = item._replace(data=data)
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert "packets without SBN's header" in first_screen(found)
+    assert "send them to Command Ingest's port" in first_screen(found)
+    rows = [row for row in found.balance if row.link == "sbn" and row.msg_id is None]
+    assert sum(row.all_lost + row.uncertain for row in rows) == number > 9
