@@ -331,15 +331,15 @@ class Case:
         pieces = stream.rows[self.rows.has(Finding.FRAGMENT, stream.rows)]
         return max(1, -(-int(self.rows.length[pieces].max(initial=0)) // _FRAGMENT_BYTES))
 
-    def perhaps_missed(self, size: int, number: int) -> int:
+    def perhaps_missed(self, size: int, number: int, runs: int | None = None) -> int:
         """Return how many missing messages of a stream the capture itself may have missed, at most.
 
         Args:
             size: number of messages in the stream.
             number: number of messages that are missing.
+            runs: in how many runs of frames it can have missed them; None: each for itself.
         """
-        excluded = self.quality.excludes(number / size)
-        return 0 if excluded else min(number, self.quality.may_have_missed(size, self.confidence))
+        return self.quality.perhaps_missed(size, number, number if runs is None else runs, self.confidence)
 
     @cached_property
     def unreached_flows(self) -> list[tuple[Flow, int, int]]:

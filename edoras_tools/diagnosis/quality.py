@@ -194,6 +194,22 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         number = min((largest_number(count, *group, each) for group in self.groups), default=count)
         return min(number, self.drops or 0) if self.counts else number
 
+    def perhaps_missed(self, size: int, number: int, runs: int, confidence: float) -> int:
+        """Return how many missing messages of a stream the capture itself may have missed, at most.
+
+        Args:
+            size: number of messages in the stream.
+            number: number of messages that are missing.
+            runs: in how many runs of frames it can have missed them.
+            confidence: confidence of the bound.
+        """
+        each = number / runs if 0 < 2 * runs <= number and not self.counts else 1.0
+        if each > 1 and runs <= FEW_RUNS:
+            return number
+        bounds = self.of_runs(each) if each > 1 else self
+        most = ceil(bounds.may_have_missed(ceil(size / each), confidence) * each)
+        return 0 if bounds.excludes(number / size) else min(number, most)
+
     def of_runs(self, size: float) -> Quality:
         """Return the bounds for runs of missing datagrams: a run has no neighbours whose numbers show it.
 
@@ -439,6 +455,24 @@ def least_runs(case: Case, streams: Sequence[Stream]) -> int:
         runs, others = runs + 1, (low >= high.min()) & (high > high.min())
         low, high = low[others], high[others]
     return runs + len(high)
+
+
+def fewest_runs(low: Places, high: Places, number: int) -> int:
+    """Return how few runs of missing frames can have taken a number of messages, any of some; at most 32.
+
+    Args:
+        low: last captured frame before each message that can be missing.
+        high: first captured frame behind it.
+        number: how many of them are missing.
+    """
+    runs = 0
+    while number > 0 and runs < _MOST_RUNS and len(low):
+        begins = np.sort(low)
+        together = np.searchsorted(begins, begins, "right") - np.searchsorted(np.sort(high), begins, "right")
+        at, runs, number = begins[together.argmax()], runs + 1, number - int(together.max())
+        others = (low > at) | (high <= at)
+        low, high = low[others], high[others]
+    return runs
 
 
 def binomial_tail(missing: int, checked: int, share: float) -> float:

@@ -151,9 +151,7 @@ def _problems(result: Diagnosis) -> tuple[list[Problem], list[Problem], list[Pro
     losses, used = _losses(result)
     others = [item for item in result.verdicts if id(item) not in used and item.severity >= Severity.WARNING]
     apart = [_apart(members) for members in alike(group_verdicts(others))]
-    first = [
-        item for item in apart if item.severity is Severity.ERROR and item.verdicts[0].rule in CAPTURE_RULES
-    ]
+    first = [one for one in apart if one.severity is Severity.ERROR and one.verdicts[0].rule in CAPTURE_RULES]
     return first, losses, [item for item in apart if item not in first]
 
 

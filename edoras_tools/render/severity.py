@@ -201,9 +201,7 @@ def explain(finding: Finding | str) -> Explanation:
 
 def ranked(findings: Finding, *, at_least: Level = Level.NOTE) -> list[Finding]:
     """Return the bits that are set, the most severe first."""
-    explained = [
-        item for item in findings if item in EXPLANATIONS and EXPLANATIONS[item].severity >= at_least
-    ]
+    explained = [one for one in findings if one in EXPLANATIONS and EXPLANATIONS[one].severity >= at_least]
     return sorted(explained, key=lambda item: -EXPLANATIONS[item].severity)
 
 

@@ -407,9 +407,8 @@ class Bound:
     def limited(self) -> dict[str, Member]:
         """The numbers that have limits, by the dotted path of their field."""
         leaves = self.plan(self._least + self._step if self._step else self.size).leaves
-        numbers = [
-            leaf for leaf in leaves if (leaf.member.yellow or leaf.member.red) and not leaf.member.text
-        ]
+        limited = (leaf for leaf in leaves if leaf.member.yellow or leaf.member.red)
+        numbers = [leaf for leaf in limited if not leaf.member.text]
         return {
             ".".join(part for part in leaf.path if isinstance(part, str)): leaf.member for leaf in numbers
         }

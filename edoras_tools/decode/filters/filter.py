@@ -191,9 +191,7 @@ def _fields(operand: syntax.Operand, text: str, names: Names, option: str = "--w
         raise syntax.WhereError(text, operand.at, operand.end, str(error), option) from None
     if operand.wrap != "len":
         return matches
-    lengths = [
-        item.length() for item in matches if item.many or item.kind in {ValueKind.TEXT, ValueKind.BYTES}
-    ]
+    lengths = [one.length() for one in matches if one.many or one.kind in {ValueKind.TEXT, ValueKind.BYTES}]
     if not lengths:
         why = f"len counts what is in a list or a text; {operand.name} is neither"
         raise syntax.WhereError(text, operand.at, operand.end, why, option)

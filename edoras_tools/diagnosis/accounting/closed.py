@@ -735,9 +735,7 @@ class Stops:
         last_ns = max((int(_sent_by(case, out.sender)[-1]) for out in outs), default=NEVER)
         for item in (item for item in case.outages if item.app in telemetry_output.NAMES):
             # Where it was started again, nobody enabled it since, as far as the capture shows.
-            if item.end_ns and (
-                sent_elsewhere(case, item) or any(may_lack_control(case, out) for out in outs)
-            ):
+            if item.end_ns and (sent_elsewhere(case, item) or any(may_lack_control(case, to) for to in outs)):
                 continue
             if case.into_system(fate.stream, item.system) and last_ns < item.ended_ns + TAIL_NS:
                 inside = fate.open & ~fate.newer & (fate.stop < 0) & (times > max(item.start_ns, last_ns))

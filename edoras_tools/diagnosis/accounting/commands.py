@@ -50,7 +50,7 @@ from edoras_tools.diagnosis.accounting.losses import (
 from edoras_tools.diagnosis.accounting.pipes import Leftover, Pipes
 from edoras_tools.diagnosis.evidence.instances import NOBODY
 from edoras_tools.diagnosis.matching.streams import Stream, counted_gaps, full_rounds
-from edoras_tools.diagnosis.quality import CONFIDENCE, FEW_RUNS, least_runs, overlapping
+from edoras_tools.diagnosis.quality import CONFIDENCE, FEW_RUNS, fewest_runs, least_runs, overlapping
 from edoras_tools.diagnosis.verdict import Verdict
 from edoras_tools.model import Finding
 from edoras_tools.units import SECOND
@@ -882,11 +882,28 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
     for fate in (fate for fate in fates if fate.seen and fate.ends["unaccounted"]):
         absent = fate.ends["unaccounted"]
-        missed = case.perhaps_missed(len(fate.stream), absent)
+        missed = _missed_outputs(case, fate, absent)
         more = min(spare, absent - missed)
         fate.ends["missed"] += missed + more
         fate.ends["unaccounted"] -= missed + more
         spare -= more
+
+
+def _missed_outputs(case: Case, fate: Fate, number: int) -> int:
+    """Return how many of a number of messages that did not come out the capture may have missed there.
+
+    A run of frames that it missed is one miss, as in ``_missed``. It lies between two that came out. Where
+    what comes out has sequence counts, these show what is missing there.
+    """
+    times, runs, hop = case.rows.time_ns, number, fate.hops[0]
+    if len(fate.hops) == 1 and not hop.out.counted:
+        (into, out), at = _in_order(hop), np.flatnonzero(hop.absent)
+        left_ns, sent_ns = np.concatenate(([0], hop.out.time_ns[out], [case.end_ns])), fate.stream.time_ns[at]
+        place = np.searchsorted(into, at)
+        low = np.searchsorted(times, np.maximum(left_ns[place], sent_ns), "right") - 1
+        high = np.searchsorted(times, np.minimum(left_ns[place + 1], sent_ns + hop.last_ns))
+        runs = fewest_runs(low, np.maximum(high, low + 1), number)
+    return case.perhaps_missed(len(fate.stream), number, runs)
 
 
 def _take_back_in_holes(case: Case, telemetry: Telemetry) -> None:

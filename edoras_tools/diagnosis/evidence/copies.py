@@ -317,9 +317,7 @@ def _quick_key(batch: PacketBatch, conversation: Integers, identification: NDArr
     number ^= conversation.astype(np.uint64) * MIX
     rows = np.flatnonzero((identification == 0) & (batch.length >= _LEAST_BYTES))
     offset, length = batch.offset[rows], batch.length[rows]
-    early, late = (
-        gather(batch.data, at, 8).view(np.uint64)[:, 0] for at in (offset + 8, offset + length - 8)
-    )
+    early, late = (gather(batch.data, at, 8).view("u8")[:, 0] for at in (offset + 8, offset + length - 8))
     total = early * MIX ^ late
     number[rows] ^= (total ^ total >> np.uint64(29)) * MIX
     return number

@@ -101,9 +101,7 @@ def of_values(
 
 def of_fields(columns: Mapping[str, NDArray[Any]]) -> Prints:
     """Return a fingerprint of each row of named number columns, u64 (n,); there is at least one column."""
-    return finished(
-        np.sum([_field(name, column) for name, column in columns.items()], axis=0, dtype=np.uint64)
-    )
+    return finished(np.sum([_field(*item) for item in columns.items()], axis=0, dtype=np.uint64))
 
 
 def latest_equal(into: Prints, into_ns: Integers, out: Prints, out_ns: Integers) -> Places:

@@ -286,9 +286,7 @@ class Payloads(msgspec.Struct):
                 out, number = np.flatnonzero(yellow | red), len(self.limited)
                 at = np.asarray(series.owner)[out]
                 field = np.full(len(at), self.limited.setdefault(f"{bound.name}.{path}", (number, member))[0])
-                self.beyond.add(
-                    base + at, packets.batch.time_ns[at], field, value[out].view(np.int64), red[out]
-                )
+                self.beyond.add(base + at, packets.batch.time_ns[at], field, value[out].view("i8"), red[out])
 
     def outputs(self, *codes: int) -> list[CommandRecord]:
         """Return the commands to Telemetry Output with some function codes."""

@@ -297,9 +297,8 @@ def _stream(rows: Rows, members: Places, instance: NDArray[np.int32], behind: Pl
     if link.only_from_cfs:
         _count_moves(rows, members, missing)
     if len(behind) and link.transport.tcp:
-        same = (rows.source[behind] == rows.source[first]) & (
-            rows.destination[behind] == rows.destination[first]
-        )
+        same = rows.source[behind] == rows.source[first]
+        same &= rows.destination[behind] == rows.destination[first]
         passed = np.searchsorted(behind[same], members, side="right")
         missing[np.diff(passed, prepend=0) > 0] = 0  # TCP delivered these packets, the capture missed them
     return Stream(

@@ -377,9 +377,7 @@ def privileged_commands(case: Case) -> Iterator[Verdict]:
         if not _privilege(case, row):
             continue
         msg_id, code = int(rows.msg_id[row]), int(rows.function_code[row])
-        senders = sorted(
-            {case.endpoints[source].address for source in np.unique(rows.source[members]).tolist()}
-        )
+        senders = sorted({case.endpoints[at].address for at in np.unique(rows.source[members]).tolist()})
         times = [case.at(when) for when in rows.time_ns[members].tolist()]
         yield security(
             f"{plural(len(members), 'command')} {command_name(msg_id, code)} on {case.name(msg_id)} from "

@@ -97,9 +97,7 @@ def find_interface(name: str) -> Interface:
 def possible(name: str) -> bool:
     """Return whether an interface may have that name (the kernel's ``dev_valid_name``)."""
     short = 0 < len(name.encode(errors="surrogateescape")) < _NAME_LENGTH
-    return (
-        short and name not in {".", ".."} and not any(letter in "/:" or letter.isspace() for letter in name)
-    )
+    return short and name not in {".", ".."} and not any(char in "/:" or char.isspace() for char in name)
 
 
 def missing_interface(name: str) -> CaptureError:

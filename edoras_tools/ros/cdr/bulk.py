@@ -324,9 +324,7 @@ def _walk_elements(
 def _finish_elements(plan: CdrPlan, cursor: Cursor, remaining: Integers) -> None:
     """Move a few rows past their remaining elements one by one, so that one long row costs little."""
     position = np.broadcast_to(cursor.position, len(cursor))
-    ends = [
-        skip(plan, *cursor.body(row), int(position[row]), int(remaining[row])) for row in range(len(cursor))
-    ]
+    ends = [skip(plan, *cursor.body(at), int(position[at]), int(remaining[at])) for at in range(len(cursor))]
     cursor.position = np.array([-1 if end is None else end for end in ends], np.int64)
     cursor.keep(cursor.position >= 0)
 
