@@ -832,6 +832,7 @@ def test_a_peer_that_cfs_refuses_until_its_table_names_it_is_refused_till_then(t
         chosen.append(item._replace(data=data))
     found = truth.examined(mutations.write(tmp_path / "flight.pcap", chosen))
     assert 0 < by_cause(found)["unknown_peer"] <= 75
+    assert found.lost + found.unaccounted <= 75 + by_cause(found)["away"]  # none of them is lost twice
     (named,) = [item for item in found.verdicts if item.rule == "unknown_peer"]
     assert "is not the peer" not in named.reason
 

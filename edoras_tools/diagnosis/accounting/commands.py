@@ -427,16 +427,14 @@ class Commands:
 
     def _alike(self, item: Verdict) -> Iterator[tuple[Fate, Mask]]:
         """Yield the streams that a refusal can be of, each with a mask of the messages in its span."""
-        key = item.link, item.msg_id
-        if key not in self._spans:
-            return
-        first_ns, last_ns = self._spans[key]
-        for place in np.flatnonzero((first_ns <= item.end_ns) & (last_ns >= item.start_ns)).tolist():
-            fate = self._by_packet[key][place]
-            times = fate.stream.time_ns
-            within = (times >= item.start_ns) & (times <= item.end_ns)
-            if within.any():
-                yield fate, within
+        for key in [key for key in self._spans if key[0] == item.link and item.msg_id in {None, key[1]}]:
+            first_ns, last_ns = self._spans[key]
+            for place in np.flatnonzero((first_ns <= item.end_ns) & (last_ns >= item.start_ns)).tolist():
+                fate = self._by_packet[key][place]
+                times = fate.stream.time_ns
+                within = (times >= item.start_ns) & (times <= item.end_ns)
+                if within.any():
+                    yield fate, within
 
     def _place(self, item: Verdict, fate: Fate, inside: Places, most: int) -> int:
         """Assign messages of a stream to a refusal; return how many.
@@ -468,7 +466,9 @@ class Commands:
         # A refusal that names one datagram is that one; a refusal of many in a span comes later.
         for item in sorted(refused, key=lambda item: item.end_ns - item.start_ns):
             rest = item.lost or 0
-            first = next(self._alike(item), None) if rest else None
+            for fate, within in self._alike(item) if item.msg_id is None else ():
+                rest -= self._place(item, fate, np.flatnonzero(fate.open & within), rest)
+            first = next(self._alike(item), None) if rest and item.msg_id is not None else None
             if first is not None:
                 fate, within = first
                 if within.sum() == 1 and item.confidence == "high":
