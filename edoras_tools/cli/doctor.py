@@ -15,14 +15,7 @@ from edoras_tools import doors
 from edoras_tools.cli import options
 from edoras_tools.cli.inputs import InputOptions, open_input
 from edoras_tools.cli.options import grouped, share
-from edoras_tools.cli.output import (
-    end,
-    file_progress,
-    no_datagrams,
-    print_csv,
-    print_json,
-    print_view,
-)
+from edoras_tools.cli.output import end, file_progress, no_datagrams, print_csv, print_json, print_view
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
 

@@ -19,11 +19,7 @@ Rules that it keeps:
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import (
-    Iterable,
-    Mapping,
-    Sequence,
-)
+from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from typing import Final, NamedTuple
 

@@ -24,15 +24,7 @@ from edoras_tools.model import Columns, HostCounters, PacketBatch, SocketCounter
 from edoras_tools.sessions.sequence import SequenceCounts
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
-from edoras_tools.wire.arrays import (
-    Integers,
-    Octets,
-    changes,
-    copy_rows,
-    distinct_rows,
-    put_rows,
-    read_at,
-)
+from edoras_tools.wire.arrays import Integers, Octets, changes, copy_rows, distinct_rows, put_rows, read_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -474,8 +474,4 @@ def _bytes(decoded: Decoded, width: int, paint: palette.Paint, highlight: str, b
     title = content if base == "payload" else "Frame"
     pointed = f", {highlight} at {span[0]}-{span[1] - 1}" if span and span[1] > span[0] else ""
     head = paint(f"{title}, {len(data):,} bytes{pointed}", palette.STRONG)
-    return [
-        head,
-        *dump_lines(data, coloured, width, paint, highlight=span),
-        *legend(coloured, width, paint),
-    ]
+    return [head, *dump_lines(data, coloured, width, paint, highlight=span), *legend(coloured, width, paint)]
