@@ -44,6 +44,8 @@ _MOST_SENDERS: Final = 1000
 _RUN: Final = 50
 _READ_IN_A_SECOND: Final = 22
 """Datagrams, by the lab applications' Command Ingest."""
+_DRAINS_NS: Final = 15 * SECOND
+"""A datagram may wait this long in its socket."""
 _PLACE: Final = {kind: place for place, kind in enumerate(ConversationKind)}
 
 
@@ -256,22 +258,28 @@ def _kinds(
 
 
 def _has_strangers(rows: Rows, payloads: Payloads, kind: NDArray[np.int8]) -> bool:
-    """Return whether CI's counter includes the strangers' datagrams; True without samples."""
-    samples = payloads.ingest
-    if len(samples) < 2:
+    """Return whether CI's counter includes the strangers' datagrams; True without samples.
+
+    Only samples around them count, and none across a restart: there CI may have lost as many of the bridges'.
+    """
+    samples, strangers = payloads.ingest, rows.time_ns[kind == _PLACE[ConversationKind.STRANGER]]
+    first, end = np.searchsorted(samples["time_ns"], [strangers.min(), strangers.max() + _DRAINS_NS])
+    own = slice(max(0, first - 1), end + 1)
+    counted_ns, packets, errors = (samples[name][own] for name in ("time_ns", "packets", "errors"))
+    if len(counted_ns) < 2:
         return True
-    steps = np.diff(samples["packets"])
-    grown = int((steps + np.diff(samples["errors"]))[steps >= 0].sum())
-    between = (rows.time_ns >= samples["time_ns"][0]) & (rows.time_ns <= samples["time_ns"][-1])
+    steps = np.diff(packets)
+    grown = int((steps + np.diff(errors))[steps >= 0].sum())
+    between = np.pad(steps >= 0, 1)[np.searchsorted(counted_ns, rows.time_ns)]
     to_ci = between & rows.on(lambda link: link.to_cfs and not link.from_cfs)
     seconds = rows.time_ns[to_ci & (kind == _PLACE[ConversationKind.STRANGER])] // SECOND
     # Of a flood it reads a part, and its socket drops the rest.
     strange = int(np.minimum(np.unique(seconds, return_counts=True)[1], _READ_IN_A_SECOND).sum())
     # Of those of bridges, equal bytes and identification count once.
     bridges = to_ci & (kind == _PLACE[ConversationKind.CFS])
-    own = np.flatnonzero(bridges & (rows.identification != 0))
-    first, _ = numbered(rows.bytes_print[own], rows.identification[own])
-    return bool(2 * (grown - int(bridges.sum()) + len(own) - len(first)) >= strange)
+    same = np.flatnonzero(bridges & (rows.identification != 0))
+    once, _ = numbered(rows.bytes_print[same], rows.identification[same])
+    return bool(2 * (grown - int(bridges.sum()) + len(same) - len(once)) >= strange)
 
 
 def _disordered(rows: Rows) -> int:
