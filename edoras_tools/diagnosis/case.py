@@ -293,7 +293,8 @@ class Case:
     @cached_property
     def reported_losses(self) -> dict[ReportedLoss, LossEvents]:
         """Losses that events report (MsgId, pipe, sender), with these events."""
-        return reported_losses(self.payloads.events, self.instances)
+        once = (item for item in self.payloads.events if self.rows.duplicates[item.row] <= 0)
+        return reported_losses(once, self.instances)
 
     def events_about(
         self, instance: int, msg_id: int, kind: PipeKind

@@ -228,6 +228,7 @@ class Rival(NamedTuple):
         start_ns: earliest capture time at which it can have been counted.
         end_ns: latest such time.
         most: upper bound of its counts in each second.
+        fills: whether it is fast enough to fill a pipe that is read.
     """
 
     flow: Hashable
@@ -236,6 +237,7 @@ class Rival(NamedTuple):
     start_ns: int
     end_ns: int
     most: int = 1 << 32
+    fills: bool = True
 
 
 class Shared(msgspec.Struct):
@@ -350,7 +352,7 @@ def settle_possible(counts: Counters, claims: Sequence[Claim], rivals: Sequence[
     """
     # A gap proves a loss; messages after a stream's last one are only a possibility, so gaps come first.
     behind = {claim.flow for claim in claims if claim.rank == Rank.POSSIBLE}
-    rivals = [*filter(lambda rival: rival.flow not in behind, rivals)]
+    rivals = [_as_far_as_moved(rival, claims) for rival in rivals if rival.flow not in behind]
     gaps = [item for item in claims if item.rank in (Rank.PRESSED, Rank.MISSING) and item.flow in behind]
     settle(counts, gaps, _APART_NS)
     tables = _Market(counts, claims).tables.values()
@@ -363,6 +365,8 @@ def settle_possible(counts: Counters, claims: Sequence[Claim], rivals: Sequence[
             for second, takers in table.seconds(rank, place):
                 span = counts[table.instance].span([second])
                 unseen = table.unseen(second, rivals, span)
+                if rank >= Rank.UNNAMED and any(rival.fills for rival in unseen):
+                    takers = []  # these are too slow to fill a pipe beside others that can
                 flows = table.sharers(second, takers, unseen)
                 if has_rest and (flows or rank >= Rank.UNNAMED):
                     settle_rest(counts, claims)
@@ -374,6 +378,18 @@ def settle_possible(counts: Counters, claims: Sequence[Claim], rivals: Sequence[
         # What the likelier counter of one traffic may hold is not left to another's second choice.
         _Market(counts, others, kinds=place + 1).improve(alone=True)
     return list(shared.values())
+
+
+def _as_far_as_moved(rival: Rival, claims: Sequence[Claim]) -> Rival:
+    """Return wake-ups of an application that did not run, up to the last count that may be theirs in turn.
+
+    Surely missing messages may have got the counts of these, and later messages theirs.
+    """
+    end_ns = rival.end_ns
+    for claim in () if rival.fills else sorted(claims, key=lambda claim: claim.low_ns):
+        if claim.assigned and rival.start_ns <= claim.high_ns and claim.low_ns <= end_ns:
+            end_ns = max(end_ns, claim.high_ns)
+    return rival._replace(end_ns=end_ns)
 
 
 def take_back(counts: Counters, claims: Sequence[Claim], others: Sequence[Claim]) -> list[int]:
@@ -509,7 +525,7 @@ class _Table:
         own = [rival for rival in rivals if (rival.instance, rival.kind) == (self.instance, self.kind)]
         more = (claim for claim in map(self._claims.__getitem__, self.within(second)) if claim.perhaps_missed)
         at = self.instance, self.kind, span[0], span[1]
-        own += [Rival(item.flow, *at, item.perhaps_missed) for item in more]
+        own += [Rival(item.flow, *at, item.perhaps_missed, fills=False) for item in more]
         return [rival for rival in own if rival.start_ns <= span[1] and span[0] <= rival.end_ns]
 
     def give_surplus(self, second: int, takers: Sequence[int], unseen: Sequence[Rival]) -> None:

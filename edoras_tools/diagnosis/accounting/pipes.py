@@ -378,6 +378,7 @@ class _Candidate(msgspec.Struct, frozen=True):
         sent_ns: i64, when its messages were sent; None if that is not captured.
         queue: model of the pipe; None if its size is not known.
         counted_ns: a loss is counted at most this long after its message was sent.
+        has_named: whether it was given the counts of the events that name it.
     """
 
     msg_id: int
@@ -391,6 +392,7 @@ class _Candidate(msgspec.Struct, frozen=True):
     sent_ns: Integers | None = None
     queue: queues.Queue | None = None
     counted_ns: int = DRAINS_NS
+    has_named: bool = False
 
     def active(self, start_ns: int, end_ns: int) -> range:
         """Return the indices of the spans whose losses can be counted between two times."""
@@ -409,7 +411,7 @@ class _Candidate(msgspec.Struct, frozen=True):
     def most(self, spans: range, *times: int) -> int:
         """Return the most messages of some spans that can be lost: those beyond the limit in each round.
 
-        If events name more of them between two times, the pipe was read more slowly.
+        If events name more of them, the pipe was read more slowly. Those that have their counts are left out.
         """
         if not self.spans:
             return int(np.iinfo(np.int32).max)
@@ -420,7 +422,8 @@ class _Candidate(msgspec.Struct, frozen=True):
         sent = self.sent_ns[own[0].first : own[-1].last + 1]
         over = _over(sent - sent[0], self.queue.round_ns, self.queue.limit(self.msg_id))
         most = min(count, int(_LATE * over) + self.queue.limit(self.msg_id))
-        return count if self.named(*times) > most else most
+        events = self.named(min(times[0], own[0].start_ns), max(times[1], own[-1].end_ns + self.counted_ns))
+        return max(0, (count if events > most else most) - events * self.has_named)
 
     def beyond(self, sent_ns: Integers, start_ns: int, end_ns: int) -> int:
         """Return how many messages sent between two times the pipe has no room for; may be negative."""
@@ -529,33 +532,38 @@ class Leftover:
         return 2 * lacking < report.count
 
     def take_reported(self) -> None:
-        """Assign one count to every loss event, and make losses of those whose traffic is not captured."""
+        """Assign one count to every loss event; make losses of those whose way out is not captured."""
         for item, report, kind in self._absent():
-            for claim in self._settled(item, report, kind):
-                if number := claim.explained:
-                    times = claim.low_ns, claim.high_ns
-                    self._make_loss(
-                        self._from_events(item, report), range(0), (item.instance, kind), number, times
-                    )
-
-        # At the pipe of an application whose output is captured, they are among the messages that lack there.
+            self._lose_named(item, kind, self._from_events(item, report))
         for item, report in self._case.reported_losses.items():
             fate, at_pipe = self._fed(item), item.at_pipe
-            if fate is None or not (fate.seen and at_pipe) or item.at_output or item.at_peer:
+            if fate is None or not at_pipe or item.at_output or item.at_peer or fate.undecidable is not None:
                 continue
-            own = [claim for claim in self._pipes.claims if claim.flow == fate.stream]
-            if claims := self._settled(item, report, at_pipe):
+            if not fate.seen:
+                self._lose_named(item, at_pipe, self._candidate(fate.stream, item.pipe, item.sender, report))
+            elif claims := self._settled(item, at_pipe):
+                # They are among the messages that lack behind the pipe.
+                own = [claim for claim in self._pipes.claims if claim.flow == fate.stream]
                 hand_on(self._counts[item.instance], item.instance, at_pipe, claims, own)
 
-    def _settled(self, item: ReportedLoss, report: LossEvents, kind: PipeKind) -> list[Claim]:
+    def _lose_named(self, item: ReportedLoss, kind: PipeKind, whose: _Candidate) -> None:
+        """Make losses of what events name, unless it may be of messages from before the capture."""
+        for claim in self._settled(item, kind, whose):
+            if claim.explained:
+                times = claim.low_ns, claim.high_ns
+                self._make_loss(whose, whose.active(*times), (item.instance, kind), claim.explained, times)
+
+    def _settled(self, item: ReportedLoss, kind: PipeKind, whose: _Candidate | None = None) -> list[Claim]:
         """Return a claim a second for the events of one loss, settled."""
         counts = self._counts.get(item.instance)
         if counts is None:
             return []
+        report = self._case.reported_losses[item]
         times, claims = self._case.instances.made_ns[[record.row for record in report.records]], []
         for _, members in by_value(counts.seconds(times)):
             span, of = (int(times[members].min()), int(times[members].max())), (item.instance,)
-            claims.append(Claim(report, *span, len(members), (kind,), of, Rank.PRESSED, item))
+            if whose is None or whose.active(*span):
+                claims.append(Claim(report, *span, len(members), (kind,), of, Rank.PRESSED, item))
         for slack_ns in (0, WAITS_NS):
             settle({item.instance: counts}, claims, slack_ns)
         return claims
@@ -578,8 +586,10 @@ class Leftover:
             # Its wake-ups, one a second, fill the pipe while nobody reads it.
             end_ns = self._case.end_ns if outage.end_ns is None else outage.end_ns
             most = ceil((end_ns - outage.start_ns) / SECOND) - self._case.profile.app_msg_limit
-            own = [at for at in self._counts if self._case.instances.systems[at] == outage.system]
-            out += [Rival(outage, at, "limit", outage.start_ns, end_ns, most) for at in own if most > 0]
+            own = [
+                at for at in self._counts if self._case.instances.systems[at] == outage.system and most > 0
+            ]
+            out += [Rival(outage, at, "limit", outage.start_ns, end_ns, most, fills=False) for at in own]
         for at in self._counts:
             for each, fate, _ in self._unseen(at, "limit"):
                 for place, span in enumerate(each.spans):
@@ -631,7 +641,8 @@ class Leftover:
             spans = [(counts.span([second]), most) for second, most in both.items() if second != BEFORE]
             room = sum(self._room(counts, kind, key[2], gaps[key]) for key in keys)
             for item, fate, sent in self._unseen(at, kind):
-                more = sum(max(0, min(most, item.beyond(sent, *span))) for span, most in spans)
+                came_ns = fate.stream.time_ns  # which of these were lost before CI is not known
+                more = sum(max(0, min(most, item.beyond(came_ns, *span))) for span, most in spans)
                 fate.ends["earlier"] = min(len(sent), fate.ends["earlier"] + min(more, room))
 
     def _room(self, counts: Counts, kind: PipeKind, stream: Stream, gaps: Counter[int]) -> int:
@@ -699,7 +710,7 @@ class Leftover:
             share = min(number, most)
             if len(rivals) == 1:
                 if number > most:  # others lost some, too: nothing shows which are its own but events
-                    share = rivals[0].named(*times)
+                    share = rivals[0].named(*times) * (not rivals[0].has_named)
                     if (fate := self._fates.get(rivals[0].stream)) is not None:
                         fate.ends["shared"] += most - share
                 if share:
@@ -777,9 +788,9 @@ class Leftover:
         times, reads = self._came_ns(stream), case.profile.ci_datagrams_per_wake
         crowded = more_at_once(times, case.profile.ci_wake_ns, reads)  # datagrams wait in CI's socket
         counted_ns = DRAINS_NS if late or full or crowded or not ingests else LATE_NS
-        return _Candidate(
-            stream.msg_id, pipe, stream, stream, spans, since_ns, sender, report, times, queue, counted_ns
-        )
+        has_named = fate is not None and fate.undecidable is None
+        own = sender, report, times, queue, counted_ns, has_named
+        return _Candidate(stream.msg_id, pipe, stream, stream, spans, since_ns, *own)
 
     def _fed(self, reported: ReportedLoss) -> Fate | None:
         """Return the fate of the captured traffic that a reported loss is of; None if there is none."""
