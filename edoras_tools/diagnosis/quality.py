@@ -15,7 +15,7 @@ this file checks datagrams that must have passed the tap because of something el
    tap saw. The same holds from the start if CI's count equals that of the tap.
 4. *Sequence counts*. While the bus counts no loss, each message that cFS counted also left it.
 5. *Periods*. A sender with an even rate sends in each of its periods, except in a pause. The period of a step
-   is the median of the steps around it, so the rate may change.
+   is the median of the steps around it, so the rate may change. A sender that was late catches up at once.
 6. *Copies*. If most datagrams were captured twice, each copy checks the other.
 
 How the check works:
@@ -400,6 +400,7 @@ def _periods(case: Case) -> Iterator[Evidence]:
                 even = (periods >= 1) & (np.abs(steps - periods * period) <= _EVEN * period)
                 if even.mean() >= _MOSTLY_ONCE:
                     valid = even & (periods <= _MOST_PERIODS) & ~overlapping(times[:-1], times[1:], holes)
+                    valid &= np.append(periods[1:], 1) > 0  # else the sender was late
                     passed, sender = int(periods[valid].sum()), int(hosts[case.rows.source[stream.rows[0]]])
                     yield Evidence("periods", sender, passed, passed - int(valid.sum()))
                     break
