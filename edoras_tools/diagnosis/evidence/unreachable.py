@@ -17,11 +17,13 @@ Rules:
    behind are uncertain: the host limits these errors, too. Errors about lengths concern no shorter ones.
 6. A robot that sends regularly, falls silent, and whose host sends no error, may be off: what goes to it
    until it sends again is uncertain. The capture may leave errors out, and a host that is off sends none.
+   If single datagrams of it are missing, as on a network that loses some, chance may take more in a row.
 """
 
 from __future__ import annotations
 
 import ipaddress
+from math import log
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -59,6 +61,7 @@ _REGULAR: Final = 2
 """A port sends regularly if it sent ``_VOICES`` datagrams, and paused for at most this many usual steps."""
 _SILENT: Final = 2.2
 """A robot is silent if it sends nothing for so many usual steps: more than one that the capture missed."""
+_CHANCE: Final = 0.001
 _OFTEN: Final = 3
 """A robot that pauses for as long more often than this is not off."""
 _SELDOM: Final = 0.2
@@ -191,7 +194,10 @@ class Unreachable:
                 continue
             usual, ends_ns = int(np.median(np.diff(heard))), np.append(heard[1:], NEVER)
             steps = np.minimum(ends_ns, rows.time_ns[-1]) - heard
-            least_ns = max(_SILENT * usual, _PATIENCE_NS)
+            # On a network that loses some of what it sends, several in a row may be lost by chance.
+            absent = int((np.rint(steps / max(usual, 1)) == 2).sum())
+            in_a_row = log(_CHANCE / len(steps)) / log(absent / (absent + len(steps))) if absent > 1 else 0
+            least_ns = max(_SILENT * usual, _PATIENCE_NS, in_a_row * usual)
             if (steps > least_ns).sum() > _OFTEN:  # such a pause is usual, too
                 least_ns = max(least_ns, _SILENT * np.median(steps[steps > least_ns]))
             long = np.flatnonzero(steps > least_ns)
