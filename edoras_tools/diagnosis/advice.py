@@ -37,7 +37,7 @@ from edoras_tools.wire.cfe import EVENT_MSG_ID
 from edoras_tools.words import plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.wire.arrays import Integers, Mask, Places
@@ -176,7 +176,7 @@ def _entries(case: Case, loss: Loss) -> tuple[Sequence[Change], list[Change]]:
     return changes, [item for old, item in pairwise(changes) if old.state == "unsubscribed"]
 
 
-def _other_limits(case: Case, losses: Iterable[Loss], worst: Loss) -> str:
+def _other_limits(case: Case, losses: Sequence[Loss], worst: Loss) -> str:
     """Return other commanded limits than that of the worst loss, and the losses at them; empty if none."""
     span = worst.start_ns, worst.end_ns
     lost: Counter[Change | None] = Counter()
@@ -184,11 +184,15 @@ def _other_limits(case: Case, losses: Iterable[Loss], worst: Loss) -> str:
         lost[limit_command(case, loss)] += loss.lost
     lost.update({item: 0 for item in _entries(case, worst)[1] if span[0] < item.not_before_ns < span[1]})
     del lost[limit_command(case, worst)]
-    return ", ".join(
+    of_table = [clean_round(case, loss)[1] for loss in losses if not limit_command(case, loss)]
+    differs = lost[None] and of_table[0] != clean_round(case, worst)[1]
+    before = [f"{of_table[0]} before that: {lost[None]:,} of these"] if differs else []
+    later = (
         f"{item.value} from {case.at(item.not_before_ns)} on{f': {number:,} of these' if number else ''}"
         for item, number in lost.items()
         if item and item.limit
     )
+    return ", ".join([*before, *later])
 
 
 def crowding_of(case: Case, loss: Loss) -> str:
