@@ -74,7 +74,6 @@ FLIGHTS = {
     "sender_that_counts": (17, {"network": 17}),
     "refused_by_length": (42, {"bad_command": 42}),
     "sent_to_another_port": (36, {"port_closed": 36}),
-    "narrow_link_ground_side": (149, {"network": 33, "limit": 3, "after": 113}),
     "robot_on_a_losing_link": (5, {"limit": 5}),
     "all_removed_and_one_raised": (209, {"limit": 209}),
     "hops_of_three_rates": (516, {"limit": 516}),
@@ -319,6 +318,7 @@ def test_what_nothing_counts_is_a_narrow_range(name, lost):
         ("counters_reset_on_a_losing_network", 127),
         ("robot_off_without_errors", 48),
         ("breaks_at_nine_hz", 207),
+        ("unheard_behind_a_backlog", 447),
     ],
 )
 def test_what_witnesses_leave_to_several_places_is_a_range(name, lost):
@@ -2255,6 +2255,14 @@ def test_a_count_that_a_wake_up_of_ci_may_have_caused_is_of_no_other_row():
     """CI's own requests fill its pipe while it restarts, and commands take their counts."""
     rows = [row for row in examined("stranger_behind_a_restart").balance if row.msg_id == 0x82D]
     assert sum(row.all_lost for row in rows) == 28
+
+
+def test_what_has_no_subscriber_is_over_no_limit_and_what_did_not_come_to_the_bus_ci_lost():
+    found = examined("unheard_behind_a_backlog")
+    lost = {(row.msg_id, row.hop): row.lost for row in found.balance if row.all_lost}
+    assert lost[0x18EE, "software bus"] == {"no_subscriber": 375}
+    assert lost[0x18EE, "CI"] == {"socket": 21}
+    assert lost[0x1827, "CI"] == {"socket": 18}
 
 
 def test_events_name_whose_a_count_is_where_the_network_lost_telemetry_too():

@@ -362,11 +362,11 @@ def settle_possible(counts: Counters, claims: Sequence[Claim], rivals: Sequence[
     has_rest = True
     for rank, place in product(ranks, range(len(COUNTERS))):
         for table in tables:
-            for second, takers in table.seconds(rank, place):
+            for second, asking in table.seconds(rank, place):
                 span = counts[table.instance].span([second])
                 unseen = table.unseen(second, rivals, span)
-                if rank >= Rank.UNNAMED and any(rival.fills for rival in unseen):
-                    takers = []  # these are too slow to fill a pipe beside others that can
+                slow = rank >= Rank.UNNAMED and any(rival.fills for rival in unseen)
+                takers = [] if slow else asking  # too slow to fill a pipe beside others that can
                 flows = table.sharers(second, takers, unseen)
                 if has_rest and (flows or rank >= Rank.UNNAMED):
                     settle_rest(counts, claims)

@@ -498,6 +498,7 @@ class Commands:
             when = fate.stream.time_ns[np.concatenate([ones.rows for *_, ones in placed])]
             near = (loss for loss in unknown if ((when >= loss.start_ns) & (when <= loss.end_ns)).any())
             over = sum(loss.lost for loss in near if self._case.goes_to(fate.stream, loss.instance))
+            over *= not fate.unsubscribed  # what has no subscriber goes to no pipe
             fate.ends["shared"] += min(over, sum(number for _, number, _ in placed))
             if own := [loss for loss in self.losses if loss.stream is fate.stream and loss.kind in COUNTERS]:
                 times = fate.stream.time_ns

@@ -901,7 +901,8 @@ class BeforeCi:
         seen = [fate for fate in fates if fate.refused or (fate.seen and not fate.keeps_newest)]
         evidence = _evidence(account, loss)
         bounded = loss.proof or loss.cause in _OUTAGES
-        surely: list[_May] = []
+        # A counter has all messages without a subscriber that CI read.
+        surely = self._open([fate for fate in fates if fate.unsubscribed], loss, loss.since_ns)
         if loss.cause in _OUTAGES:
             closed, may = self._case.unreachable.closed, self._open(fates, loss, loss.since_ns)
             rest = max(rest, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))

@@ -281,6 +281,11 @@ class Fate:
         self.stop = np.full(len(self.stream), -1)
 
     @property
+    def unsubscribed(self) -> int:
+        """Number of its messages that nobody subscribes to."""
+        return sum(number for verdict, number, _ in self.refused if verdict.rule == "no_subscriber")
+
+    @property
     def seen(self) -> bool:
         """Whether the capture shows which messages come out."""
         return bool(self.hops)

@@ -548,10 +548,9 @@ class Leftover:
 
     def _lose_named(self, item: ReportedLoss, kind: PipeKind, whose: _Candidate) -> None:
         """Make losses of what events name, unless it may be of messages from before the capture."""
-        for claim in self._settled(item, kind, whose):
-            if claim.explained:
-                times = claim.low_ns, claim.high_ns
-                self._make_loss(whose, whose.active(*times), (item.instance, kind), claim.explained, times)
+        for claim in (own for own in self._settled(item, kind, whose) if own.explained):
+            times = claim.low_ns, claim.high_ns
+            self._make_loss(whose, whose.active(*times), (item.instance, kind), claim.explained, times)
 
     def _settled(self, item: ReportedLoss, kind: PipeKind, whose: _Candidate | None = None) -> list[Claim]:
         """Return a claim a second for the events of one loss, settled."""
@@ -811,7 +810,7 @@ class Leftover:
         msg_ids = {stream.msg_id for stream in leaving}
         for stream in (item for item in case.streams if item.link.only_to_cfs or not item.is_housekeeping):
             fate, times = self._fates.get(stream), self._came_ns(stream)
-            if fate is not None and stream.link.only_to_cfs and not fate.seen:
+            if fate and stream.link.only_to_cfs and not (fate.seen or fate.unsubscribed):
                 if _fills(case, fate, instance, times, application.round_ns, application.usual_limit):
                     yield self._candidate(stream, APP)
                 elif fate.stops:  # its pipe fills while nobody reads it
