@@ -74,7 +74,10 @@ FLIGHTS = {
     "sender_that_counts": (17, {"network": 17}),
     "refused_by_length": (42, {"bad_command": 42}),
     "sent_to_another_port": (36, {"port_closed": 36}),
-    "robot_on_a_losing_link": (5, {"limit": 5}),
+    "unheard_on_a_losing_network": (
+        374,
+        {"network": 19, "no_subscriber": 305, "limit": 36, "after": 14},
+    ),
     "all_removed_and_one_raised": (209, {"limit": 209}),
     "hops_of_three_rates": (516, {"limit": 516}),
     "restarted_with_full_socket": (293, {"restart": 179, "limit": 114}),
@@ -2279,10 +2282,31 @@ def test_a_sender_that_is_late_once_and_catches_up_shows_no_gap_of_the_capture()
     assert [item.missing for item in quality.evidence if item.kind == "periods"] == [0]
 
 
-def test_a_robot_whose_states_are_lost_now_and_then_is_not_off():
-    """Six of its 34 states are lost, two of them in a row."""
-    found = examined("robot_on_a_losing_link")
-    assert (found.uncertain, "nobody listened" in first_screen(found)) == (0, False)
+def test_a_robot_whose_states_are_lost_now_and_then_is_not_off(tmp_path):
+    """Six of its states are lost, two of them in a row."""
+    items = mutations.frames(FOLDER / "all_removed_and_one_raised.pcap.zst")
+    states = [item for item in items if mutations.is_to(item.data, 8080)]
+    lost = {states[at].time_ns for at in (5, 9, 14, 20, 21, 27)}
+    left = [item for item in items if item.time_ns not in lost]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", left))
+    assert (found.lost, found.uncertain, "nobody listened" in first_screen(found)) == (209, 0, False)
+
+
+def test_what_waits_in_ci_behind_other_commands_is_counted_late():
+    (row,) = [
+        row
+        for row in examined("unheard_on_a_losing_network").balance
+        if (row.msg_id, row.hop) == (0x1827, "software bus")
+    ]
+    assert (row.lost, row.uncertain) == ({"limit": 36}, 0)
+
+
+def test_what_others_send_without_a_subscriber_leaves_no_command_in_doubt(tmp_path):
+    """What goes to the robot is not captured, and 0x803 counts as many without a subscriber as it gets."""
+    items = mutations.frames(FOLDER / "unheard_behind_a_backlog.pcap.zst")
+    items = [item for item in items if not mutations.is_to(item.data, 8585)]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert (found.lost + found.unaccounted, found.uncertain) == (447, 0)
 
 
 def test_a_stream_too_slow_to_fill_a_pipe_shares_no_count_with_one_that_can():

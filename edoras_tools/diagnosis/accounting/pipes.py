@@ -781,14 +781,14 @@ class Leftover:
         full = any(loss.cause == "socket" for item in ingests for loss in item.losses)
         visible = stream.link.only_to_cfs and not (full or any(item.not_captured for item in ingests))
         fate = self._fates.get(stream)
-        visible &= fate is None or fate.undecidable is None
-        queue = queues.application_pipe(case.profile) if visible else None
+        is_read = fate is None or fate.undecidable is None
+        queue = queues.application_pipe(case.profile) if visible and is_read else None
         late = [item for item in ingests if item.waiting or item.older_until_ns]
         times, reads = self._came_ns(stream), case.profile.ci_datagrams_per_wake
-        crowded = more_at_once(times, case.profile.ci_wake_ns, reads)  # datagrams wait in CI's socket
+        # Datagrams wait in CI's socket.
+        crowded = more_at_once(case.arriving(stream.receiver), case.profile.ci_wake_ns, reads)
         counted_ns = DRAINS_NS if late or full or crowded or not ingests else LATE_NS
-        has_named = fate is not None and fate.undecidable is None
-        own = sender, report, times, queue, counted_ns, has_named
+        own = sender, report, times, queue, counted_ns, is_read
         return _Candidate(stream.msg_id, pipe, stream, stream, spans, since_ns, *own)
 
     def _fed(self, reported: ReportedLoss) -> Fate | None:
