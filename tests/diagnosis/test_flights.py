@@ -2393,6 +2393,8 @@ def test_what_waited_in_the_socket_is_lost_with_the_restart(name, lost):
     found = examined(name)
     assert sum(row.lost.get("down", 0) for row in found.balance) == lost
     assert sum(item.lost for item in found.verdicts if item.rule == "cfs_restart") == lost
+
+
 def test_packets_without_the_header_of_sbn_are_no_peer(tmp_path):
     items, number = mutations.frames(FOLDER / "peer_takes_poses_too.pcap.zst"), 0
     for at, item in enumerate(items):

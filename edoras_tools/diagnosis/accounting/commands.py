@@ -599,7 +599,7 @@ class Commands:
             grown, spread = track.beyond_steady("no_subscribers", sent_ns, TAIL_NS)
             inside = fate.open & (sent_ns >= track.times[0]) & (sent_ns < track.times[-1])
             more = int(grown[-1] - grown[max(0, np.searchsorted(track.times, sent_ns[0]) - 1)])
-            more -= sum(own.refused["no_subscriber"] for own in self.fates.values())
+            more -= sum(own.unsubscribed for own in self.fates.values())
             if 2 * more <= 3 * inside.sum() <= 3 * more and inside.sum() > spread:
                 fate.undecidable = fate.open.copy()
                 fate.undecidable_since = f"0x803: {more:,} more messages without a subscriber meanwhile"
