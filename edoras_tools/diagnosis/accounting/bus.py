@@ -447,9 +447,7 @@ class Telemetry:
         queue = case.queue_of(stream)
         rounds, limit = case.rounds(stream, span), case.commanded_limit(stream) or queue.limit(stream.msg_id)
         larger = rounds.most > limit and rounds.share < _MOSTLY
-        counts = self._counts.get(part.owner)
-        first = counts.first if counts and span.start_ns < counts.times[0] else {}
-        grown = {kind: self._grown(part, name) + first.get(kind, 0) > 0 for kind, name in COUNTERS.items()}
+        grown = {kind: self._growth(part, kind) > 0 for kind in COUNTERS}
         for kind in COUNTERS:
             events = self._naming(stream, kind)
             is_named = bool(events and events.within(*window))
@@ -639,6 +637,11 @@ class Telemetry:
     def _grown(self, part: Part, name: str) -> int:
         track, end_ns = self._case.tracks.get(part.owner), max(part.span.end_ns, part.among.times_ns[1])
         return track.growth(name, part.span.start_ns - LEAD_NS, end_ns + TAIL_NS) if track else 0
+
+    def _growth(self, part: Part, kind: PipeKind) -> int:
+        """Return how far a counter grew in a part, with its first value if the part begins before that."""
+        counts, more = self._counts.get(part.owner), self._grown(part, COUNTERS[kind])
+        return more + counts.first[kind] if counts and part.span.start_ns < counts.times[0] else more
 
     def _lose(self, part: Part, kind: LossKind, number: int, of: int, confidence: Confidence) -> Loss:
         """Add a loss of messages of a part, and return it."""

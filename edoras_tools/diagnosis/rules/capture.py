@@ -139,10 +139,10 @@ def not_cfs(case: Case) -> Iterator[Verdict]:
 
 def _astray(case: Case, flow: Flow, end: int) -> Verdict:
     """Say that an SBN peer sends to another link's port: its messages are known by their sizes."""
-    rows, peer, there = case.rows, case.network.identity_of[end], case.endpoints.index(flow.destination)
+    rows, peer, port = case.rows, case.network.identity_of[end], case.endpoints.index(flow.destination)
     own, app = rows.source == end, rows.sbn_msg_type == MsgType.APP
     sizes = np.setdiff1d(rows.length[own & app], rows.length[own & (rows.sbn_msg_type >= 0) & ~app])
-    number = int((own & (rows.destination == there) & np.isin(rows.length, sizes)).sum())
+    number = int((own & (rows.destination == port) & np.isin(rows.length, sizes)).sum())
     return verdict(
         Severity.ERROR if number else Severity.WARNING,
         f"SBN peer {peer} sends to {flow.destination}, where {flow.link.name} is: nobody takes what it sends",

@@ -229,8 +229,7 @@ def parse(opcode: int, content: bytes) -> Any:
             if stream.tell() != len(content):
                 return None
             if opcode == Opcode.ATTACHMENT:
-                crc = int.from_bytes(content[-4:], "little")
-                return record if crc in {0, crc32(content[:-4])} else None
+                return record if int.from_bytes(content[-4:], "little") in {0, crc32(content[:-4])} else None
             return record
     return None
 
