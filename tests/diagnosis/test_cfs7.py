@@ -316,12 +316,10 @@ def test_no_more_are_lost_behind_the_last_than_went_in_behind_it():
     assert sum(row.unaccounted for row in diagnosis.balance) == 0
 
 
-def test_what_a_silent_peer_may_have_heard_is_told():
+def test_what_a_silent_peer_surely_missed_is_not_doubted():
     (verdict,) = found(examined("two_robots"), "sbn_timeout")
     assert verdict.lost == 54  # its next datagram was due before the first of them
-    assert any(
-        line.startswith("34 of them until 37.3 s, when a heartbeat was due") for line in verdict.evidence
-    )
+    assert not any("heard" in line for line in verdict.evidence)
 
 
 def test_what_came_over_the_network_while_cfs_was_down_is_lost_there():

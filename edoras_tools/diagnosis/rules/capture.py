@@ -11,7 +11,7 @@ from edoras_tools.diagnosis.evidence.relays import PROXY_HOP
 from edoras_tools.diagnosis.ledger import ON_PURPOSE
 from edoras_tools.diagnosis.verdict import Severity, Verdict, error, note, verdict, warning
 from edoras_tools.links import table
-from edoras_tools.model import Finding
+from edoras_tools.model import OTHER, Finding
 from edoras_tools.units import SECOND
 from edoras_tools.wire.arrays import by_value, groups
 from edoras_tools.wire.sbn import MsgType
@@ -147,7 +147,7 @@ def _astray(case: Case, flow: Flow, end: int) -> Verdict:
         Severity.ERROR if number else Severity.WARNING,
         f"SBN peer {peer} sends to {flow.destination}, where {flow.link.name} is: nobody takes what it sends",
         f"{plural(flow.datagrams, 'datagram')} went there, {number:,} of them as long as its messages are",
-        place=(flow.link.label, f"{flow.link.name}, which takes no SBN"),
+        place=(OTHER.label, f"{flow.link.name}, which takes no SBN"),
         lost=number or None,
         of=number or None,
         span=(flow.first_ns, flow.last_ns),
