@@ -17,7 +17,7 @@ from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import no_messages, nothing_shown, print_json
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.older import StrEnum
-from edoras_tools.render.units import TimeFormat
+from edoras_tools.words import TimeFormat
 
 if TYPE_CHECKING:
     from edoras_tools.decode.context import Context

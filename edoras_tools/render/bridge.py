@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
-from edoras_tools.render import units
+from edoras_tools import words
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveRun, LiveTable, Moment, title_line
@@ -145,13 +145,13 @@ def _state(item: Mapping[str, Any], *, live: bool) -> tuple[str, str]:
 
 def _latency(name: str) -> Any:
     def cell(row: Mapping[str, Any]) -> Text:
-        return Text(units.microseconds(row["latency_us"][name] if row["out"] else None))
+        return Text(words.microseconds(row["latency_us"][name] if row["out"] else None))
 
     return cell
 
 
 def _limit(row: Mapping[str, Any]) -> Text:
-    return Text(units.rate(row["max_rate"]), "" if row["max_rate"] else palette.DIM)
+    return Text(words.rate(row["max_rate"]), "" if row["max_rate"] else palette.DIM)
 
 
 def _arrow(row: Mapping[str, Any]) -> Text:
@@ -167,7 +167,7 @@ _ROUTES: Final = (
     *_FIRST,
     Column("In", figure("in")),
     Column("Out", figure("out")),
-    Column("Rate", lambda row: Text(units.rate(row["rate"]))),
+    Column("Rate", lambda row: Text(words.rate(row["rate"]))),
     Column("Limit", _limit, rank=2),
     Column("Held", figure("held")),
     Column("Refused", lambda row: count_cell(sum(row["refused"].values()), Level.ERROR.style)),

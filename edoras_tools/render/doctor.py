@@ -20,12 +20,12 @@ from rich.table import Column as TableColumn
 from rich.table import Table
 from rich.text import Text
 
+from edoras_tools import words
 from edoras_tools.cfs.names import MSG_ID_NAMES
 from edoras_tools.diagnosis.balance import PEER_TO_ROBOT, Chain
 from edoras_tools.diagnosis.ledger import cause_text
 from edoras_tools.diagnosis.summary import Problem, summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
-from edoras_tools.render import units
 from edoras_tools.render.capture.info import link_text, msg_id_text, route_text
 from edoras_tools.render.capture.tree import value_text
 from edoras_tools.render.severity import Level
@@ -110,7 +110,7 @@ def causes(row: Mapping[str, Any]) -> str:
 
 def figure_text(value: int | None) -> str:
     """Return a figure as text; empty if it was not counted."""
-    return "" if value is None else units.count(value)
+    return "" if value is None else words.count(value)
 
 
 def _figure(name: str) -> Any:
@@ -188,10 +188,10 @@ def missing_table(missing: Sequence[Missing], start_ns: int, width: int) -> Rend
     lines = [list(alike) for _, alike in groupby(missing, lambda item: (_SAME(item), item.first is None))]
     columns = (
         Column("When", lambda row: plain(f"{(row[0].time_ns - start_ns) / 1e9:.3f} s")),
-        Column("Packet", lambda row: plain("" if row[0].number is None else units.count(row[0].number))),
+        Column("Packet", lambda row: plain("" if row[0].number is None else words.count(row[0].number))),
         Column("MsgId", lambda row: plain(row[0].as_json()["msg_id"] or ""), justify="left"),
         Column("Topic", lambda row: plain(row[0].topic or ""), justify="left", elastic=True),
-        Column("Count", lambda row: plain(units.count(sum(item.count for item in row)))),
+        Column("Count", lambda row: plain(words.count(sum(item.count for item in row)))),
         Column("What", lambda row: plain(_message_text(row)), justify="left"),
         Column(
             "Values",
@@ -243,12 +243,12 @@ _number_column = partial(TableColumn, no_wrap=True, justify="right")
 _STATES: Final = {"connected": "green", "silent": "yellow", "timed_out": "bold red", "disconnected": "yellow"}
 
 
-def screen(result: Diagnosis, width: int, words: str = "", lines: int = _SCREEN) -> RenderableType:
+def screen(result: Diagnosis, width: int, args: str = "", lines: int = _SCREEN) -> RenderableType:
     """Return the first screen of a diagnosis.
 
     Args:
         width: columns.
-        words: arguments that examine the same input again; empty if this is impossible.
+        args: arguments that examine the same input again; empty if this is impossible.
         lines: most lines, if this is possible with fewer than three problems.
     """
     summary, width = summarize(result), min(width, _WIDEST)
@@ -259,14 +259,14 @@ def screen(result: Diagnosis, width: int, words: str = "", lines: int = _SCREEN)
         for item in (" ".join(filter(None, (summary.fine, notes))), *_selection_notes(result))
         if item
     ]
-    more = f"More: edoras doctor -v {words}"
-    if len(f"{more} | edoras report {words}") <= width:
-        more += f" | edoras report {words}"
+    more = f"More: edoras doctor -v {args}"
+    if len(f"{more} | edoras report {args}") <= width:
+        more += f" | edoras report {args}"
     for full in range(_FULL, 0, -1):
-        body = [line for item in _shared(summary.problems[:full]) for line in _problem(*item, width, words)]
+        body = [line for item in _shared(summary.problems[:full]) for line in _problem(*item, width, args)]
         rest = summary.rest(full)
         below = [line for item in ([plain(rest)] if rest else []) + tail for line in _wrapped(item, width)]
-        whole = [*head, *body, *below, *[Text(more, palette.DIM)] * bool(words)]
+        whole = [*head, *body, *below, *[Text(more, palette.DIM)] * bool(args)]
         if sum(max(1, -(-line.cell_len // width)) for line in whole) <= lines:  # a long command is cut in two
             break
     return Group(*whole)
@@ -278,21 +278,21 @@ def _shared(problems: Sequence[Problem]) -> Iterator[tuple[Problem, bool]]:
         yield item, bool(item.remedy) and item.remedy not in {other.remedy for other in problems[place + 1 :]}
 
 
-def _problem(item: Problem, remedied: bool, width: int, words: str) -> list[Text]:
+def _problem(item: Problem, remedied: bool, width: int, args: str) -> list[Text]:
     """Return the lines of a problem: its number in front, then the text, then the remedy.
 
     Args:
         remedied: whether to show the remedy.
-        words: argument of ``screen``.
+        args: argument of ``screen``.
     """
     grade = _STYLES[item.severity]
-    start = units.count(item.lost) if item.lost else grade.mark
+    start = words.count(item.lost) if item.lost else grade.mark
     lines = _hanging(plain(f"{start:>{_COUNT}}", grade.style), item.text, width)
     if remedied:
         first, *commands = re.split(r"\s+(?=edoras [a-z])", item.remedy)
         lines += _hanging(Text("  do", palette.GOOD), first.rstrip(), width)
-        if words:
-            commands += [f"edoras doctor {option} {words}" for option in re.findall(r"--set port=\S+", first)]
+        if args:
+            commands += [f"edoras doctor {option} {args}" for option in re.findall(r"--set port=\S+", first)]
         for line in commands:
             lines.append(Text(clean(f"{'':{_COUNT + 2}}{line.rstrip('; ')}"), palette.STRONG))
         if item.promise:
@@ -339,7 +339,7 @@ def _head(result: Diagnosis, name: str) -> Text:
     line = Text.assemble(plain(name, palette.STRONG), f"  {plural(result.datagrams, 'datagram')}")
     if result.datagrams:
         seconds = (result.end_ns - result.start_ns) / 1e9
-        line.append(f" over {units.duration(seconds)}, from {units.utc(result.start_ns, digits=3)} UTC")
+        line.append(f" over {words.duration(seconds)}, from {words.utc(result.start_ns, digits=3)} UTC")
     return line
 
 
@@ -420,8 +420,8 @@ def _spans(result: Diagnosis, group: Sequence[Verdict]) -> Table:
     table = _grid(_text_column("when"), *figures, _text_column("confidence"), header_style=palette.DIM)
     for item in group[:_MOST_SPANS]:
         seconds = (item.end_ns - item.start_ns) / 1e9
-        rate = units.rate(item.of / seconds) if item.of and seconds > _MOMENT_S else units.NONE
-        cells = (units.count(item.lost), units.count(item.of), rate, item.confidence)
+        rate = words.rate(item.of / seconds) if item.of and seconds > _MOMENT_S else words.NONE
+        cells = (words.count(item.lost), words.count(item.of), rate, item.confidence)
         table.add_row(_when(result, item), *cells)
     if len(group) > _MOST_SPANS:
         table.add_row(f"... {len(group) - _MOST_SPANS} more")
@@ -430,7 +430,7 @@ def _spans(result: Diagnosis, group: Sequence[Verdict]) -> Table:
 
 def latency_text(value: Mapping[str, Any] | None, key: str) -> Text:
     """Return a figure of a latency, ms; empty if there is none."""
-    return Text(units.milliseconds(value[key]) if value else "")
+    return Text(words.milliseconds(value[key]) if value else "")
 
 
 def _latency(row: Mapping[str, Any]) -> Mapping[str, Any] | None:
@@ -452,7 +452,7 @@ def _sender(row: Mapping[str, Any]) -> Text:
 
 def clean_to(row: Mapping[str, Any]) -> str:
     """Return the rate up to which a route loses nothing, and whether it is measured or assumed."""
-    return f"{units.rate(row['limit_hz'])} {row['limit_from']}" if row["limit_hz"] else "not seen"
+    return f"{words.rate(row['limit_hz'])} {row['limit_from']}" if row["limit_hz"] else "not seen"
 
 
 _SENDER: Final = Column("Sent by", _sender, rank=1, justify="left")
@@ -460,18 +460,18 @@ _COLUMNS: Final = (
     Column("Link", link_text, justify="left"),
     Column("MsgId", msg_id_text, justify="left"),
     Column("Topic", route_text, justify="left", elastic=True),
-    Column("Sent", lambda row: Text(units.count(row["sent"]))),
+    Column("Sent", lambda row: Text(words.count(row["sent"]))),
     Column("Lost", figure("lost", Level.ERROR.style)),
-    Column("Rate", lambda row: Text(units.rate(row["rate_hz"] or None)), rank=1),
+    Column("Rate", lambda row: Text(words.rate(row["rate_hz"] or None)), rank=1),
     Column("Clean to", lambda row: Text(clean_to(row), palette.DIM), rank=1),
     Column("Delay p50", lambda row: latency_text(_latency(row), "p50_ms"), rank=2),
     Column("p99", lambda row: latency_text(_latency(row), "p99_ms"), rank=2),
     Column("max", lambda row: latency_text(_latency(row), "max_ms"), rank=3),
     Column(
-        "In rounds of", lambda row: Text(units.milliseconds(row["comb_ms"]) if row["comb_ms"] else ""), rank=3
+        "In rounds of", lambda row: Text(words.milliseconds(row["comb_ms"]) if row["comb_ms"] else ""), rank=3
     ),
     Column("Came in as", _from, rank=4, justify="left"),
-    Column("Bytes", lambda row: Text(units.count(row["bytes_max"])), rank=5),
+    Column("Bytes", lambda row: Text(words.count(row["bytes_max"])), rank=5),
 )
 
 
@@ -508,8 +508,8 @@ def _live_table(result: Diagnosis, title: str, height: int) -> RenderableType:
     for item in merged[: max(3, (height - 4) // 2)]:
         grade = _STYLES[item.severity]
         since = f"{(item.start_ns - result.zero_ns) / 1e9:.0f} s"
-        lost = units.count(item.lost) if item.lost is not None else ""
-        of = units.count(item.of) if item.of is not None else ""
+        lost = words.count(item.lost) if item.lost is not None else ""
+        of = words.count(item.of) if item.of is not None else ""
         table.add_row(Text(grade.mark, grade.style), lost, of, since, plain(item.reason))
     quiet = Text("nothing wrong so far", "green")
     total = plain(summarize(result).headline, _style(result))
@@ -567,8 +567,8 @@ _BUDGET: Final = (
     Column("Link", link_text, justify="left"),
     Column("MsgId", msg_id_text, justify="left"),
     Column("Topic", route_text, justify="left", elastic=True),
-    Column("Clean to", lambda row: Text(units.rate(row["limit_hz"] or None), palette.STRONG)),
-    Column("Bytes", lambda row: Text(units.count(row["bytes"]))),
+    Column("Clean to", lambda row: Text(words.rate(row["limit_hz"] or None), palette.STRONG)),
+    Column("Bytes", lambda row: Text(words.count(row["bytes"]))),
     Column("Where", lambda row: plain(row["hop"]), rank=1, justify="left"),
     Column("Why", lambda row: plain(row["reason"]), rank=2, justify="left"),
 )

@@ -14,8 +14,7 @@ from typing import Final, NamedTuple
 
 import msgspec
 
-from edoras_tools import __version__
-from edoras_tools.render import units
+from edoras_tools import __version__, words
 from edoras_tools.render.plot.figure import tick_texts, ticks
 
 CHART_WIDTH: Final = 720
@@ -165,7 +164,7 @@ def heading(name: str) -> str:
 
 def footer(origin: Origin) -> str:
     """Return the footer: how and when the page was made."""
-    text = f"edoras-tools {__version__}, {units.utc(origin.time_ns, digits=0)} UTC"
+    text = f"edoras-tools {__version__}, {words.utc(origin.time_ns, digits=0)} UTC"
     return f'<footer class="dim">{text}<br><code>{escape(origin.command)}</code></footer>'
 
 

@@ -20,7 +20,7 @@ from edoras_tools.render.capture.info import capture_summary
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.terminal.palette import Paint
 from edoras_tools.render.terminal.text import cells
-from edoras_tools.render.units import TimeFormat
+from edoras_tools.words import TimeFormat
 
 anything = st.text(st.characters(exclude_categories=()), max_size=30) | st.sampled_from(
     [

@@ -20,12 +20,13 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from edoras_tools import words
 from edoras_tools.decode.spacecraft import FIRST_SPACECRAFT
 from edoras_tools.errors import CaptureError
 from edoras_tools.io.formats.columns import json_value
 from edoras_tools.older import UTC
 from edoras_tools.pipelines.selection import fits_topic
-from edoras_tools.render import pages, units
+from edoras_tools.render import pages
 from edoras_tools.render.pages import CHART_WIDTH, LEFT, RIGHT, Frame, TimeSpan, svg_box
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
@@ -47,7 +48,7 @@ _MOST_LINES: Final = 1000
 def update_lines(summary: Mapping[str, Any], index: str) -> Iterator[str]:
     """Yield lines on an update, from the shape of ``archive --json``."""
     parts = [f"{summary['read']:,} read", f"{summary['unchanged']:,} unchanged"]
-    parts += [f"{summary[name]:,} {words}" for name, words in _RARE.items() if summary[name]]
+    parts += [f"{summary[name]:,} {text}" for name, text in _RARE.items() if summary[name]]
     yield f"{index}: {plural(summary['found'], 'capture')}: {', '.join(parts)}"
     if not summary["found"]:
         yield "no capture was found; name files, or folders with .mcap, .pcapng or .pcap"
@@ -170,20 +171,20 @@ def _plain(value: Any) -> Any:
 
 def _cell(value: Any) -> str:
     if value is None:
-        return units.NONE
+        return words.NONE
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _when(time_ns: int | None) -> str:
-    return units.NONE if time_ns is None else units.utc(time_ns, digits=0)
+    return words.NONE if time_ns is None else words.utc(time_ns, digits=0)
 
 
 def _length(seconds: float | None) -> str:
-    return units.NONE if seconds is None else units.duration(seconds)
+    return words.NONE if seconds is None else words.duration(seconds)
 
 
 def _share(share: float | None) -> str:
-    return units.NONE if share is None else f"{100 * share:.3g} %"
+    return words.NONE if share is None else f"{100 * share:.3g} %"
 
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -320,11 +321,11 @@ def _head(trends: ArchiveTrends) -> str:
         f"{totals['lost']:,} lost, {totals['unaccounted']:,} unaccounted for, in "
         f"{totals['with_loss']:,} of {plural(totals['captures'], 'run')}{of}"
     )
-    when = f"{units.utc(totals['start_ns'], digits=0)} to {units.utc(totals['end_ns'], digits=0)} UTC"
+    when = f"{words.utc(totals['start_ns'], digits=0)} to {words.utc(totals['end_ns'], digits=0)} UTC"
     return (
         f"<header>{pages.heading(short(trends.name))}"
         f'<p class="dim">{plural(totals["captures"], "run")}, {totals["datagrams"]:,} datagrams, '
-        f"{units.duration(totals['seconds'])} in all, {when}</p>"
+        f"{words.duration(totals['seconds'])} in all, {when}</p>"
         f'<p class="end-note {style}">{text}</p></header>'
     )
 
@@ -352,7 +353,7 @@ def _round_time(seconds: float) -> str:
     for unit, name in ((_DAY_S, "day"), (3600, "hour"), (60, "minute"), (1, "second")):
         if seconds % unit == 0:
             return plural(int(seconds // unit), name)
-    return units.duration(seconds)
+    return words.duration(seconds)
 
 
 def _bins(trends: ArchiveTrends) -> int:
@@ -417,7 +418,7 @@ def _delays(trends: ArchiveTrends, calendar: _Calendar) -> Iterable[str]:
         frame = _DateFrame(calendar, row["p99_ms"], "ms", f"latency of {row['route']}")
         frame.dots(_apart(frame, ((calendar.at(item["start_ns"]), item["p99_ms"]) for item in delays)), "run")
         note = (
-            f"a dot is the 99th percentile of a run, the highest {units.milliseconds(row['p99_ms'])}; "
+            f"a dot is the 99th percentile of a run, the highest {words.milliseconds(row['p99_ms'])}; "
             f"{row['timed']:,} messages in {plural(row['captures'], 'run')}"
         )
         yield pages.chart_card(
@@ -441,7 +442,7 @@ def _worst(trends: ArchiveTrends) -> str:
     runs = sorted(trends.runs, key=lambda row: (-(row["lost"] + row["unaccounted"]), row["capture"]))
     rows = (
         (
-            *(short(row["capture"]), units.utc(row["start_ns"], digits=0), row["worst"] or ""),
+            *(short(row["capture"]), words.utc(row["start_ns"], digits=0), row["worst"] or ""),
             *_missing(row, "lost", "unaccounted", "datagrams"),
         )
         for row in runs[:_MOST_WORST]
@@ -454,7 +455,7 @@ def _worst(trends: ArchiveTrends) -> str:
 def _rules(trends: ArchiveTrends) -> str:
     names, figures = ("rule", "severity", "example"), ("captures", "verdicts", "lost")
     rows = (
-        [*(row[name] for name in names), *(units.count(row[name]) for name in figures)]
+        [*(row[name] for name in names), *(words.count(row[name]) for name in figures)]
         for row in trends.rules
     )
     heads = ("rule", "severity", "for example", "runs", "verdicts", "lost")
@@ -471,11 +472,11 @@ def _errors(trends: ArchiveTrends) -> Iterable[str]:
 def _missing(row: Mapping[str, Any], *figures: str) -> list[str]:
     """Return the share of a row's messages that is missing, and some of its figures."""
     share = _percent(row["lost"] + row["unaccounted"], row["sent"])
-    return [share, *(units.count(row[name]) for name in figures)]
+    return [share, *(words.count(row[name]) for name in figures)]
 
 
 def _percent(missing: int, sent: int) -> str:
-    return f"{100 * missing / sent:.3g} %" if sent else units.NONE
+    return f"{100 * missing / sent:.3g} %" if sent else words.NONE
 
 
 _FILE: Final = Path(__file__).with_name("queries.sql")

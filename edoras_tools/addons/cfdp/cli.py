@@ -14,8 +14,7 @@ from edoras_tools.cli.inputs import FileOptions, InputOptions, open_input
 from edoras_tools.cli.options import grouped
 from edoras_tools.cli.output import end, file_progress, lost, no_datagrams, print_json
 from edoras_tools.render.terminal.text import clean
-from edoras_tools.render.units import count
-from edoras_tools.words import plural
+from edoras_tools.words import count, plural
 
 _HEAD: Final = ("from", "to", "file", "bytes", "captured", "pieces", "resent", "filled", "NAKs", "end")
 

@@ -214,10 +214,10 @@ def _play(
     quiet: bool,
 ) -> tuple[dict[str, Any], EdorasError | None]:
     """Play a recording; return a summary, and the error if the recording is cut off."""
+    from edoras_tools import words
     from edoras_tools.addons.foxglove import player as playing
     from edoras_tools.pipelines.doctor import Scope
     from edoras_tools.pipelines.reading import on_interrupt
-    from edoras_tools.render import units
 
     info, bench, reopen = playing.open_recording(files, settings)
     how = playing.PlaybackOptions(playback.speed or 1.0, playback.paused, playback.wait, playback.loop)
@@ -233,7 +233,7 @@ def _play(
         if not quiet:
             begins = "when play is pressed" if playback.paused else "when a client has subscribed"
             begins = begins if playback.wait else "now"
-            say(f"plays {units.duration((end_ns - start_ns) / 1e9)} {begins}; Ctrl-C ends")
+            say(f"plays {words.duration((end_ns - start_ns) / 1e9)} {begins}; Ctrl-C ends")
         with _keyboard(player, sink, quiet=quiet) as (keys, show):
             player.run(sink, duration_ns=limits.duration_ns, keys=keys, show=show)
     summary = {"source": info.name, "kind": info.kind, "start_ns": start_ns, "end_ns": end_ns}
@@ -329,13 +329,13 @@ def served(summary: Mapping[str, Any]) -> Iterator[str]:
         summary: result of ``FoxgloveServer.summary``.
     """
     clients = summary["clients"]
-    words = [
+    parts = [
         f"Foxglove: {plural(summary['connections'], 'client')}",
         f"{plural(summary['sent'], 'message')} sent",
     ]
     if summary["published"] or summary["refused"]:
-        words.append(f"{summary['published']:,} taken from them, {summary['refused']:,} refused")
-    yield ", ".join(words)
+        parts.append(f"{summary['published']:,} taken from them, {summary['refused']:,} refused")
+    yield ", ".join(parts)
     for client in clients:
         if client["dropped"]:
             of = client["dropped"] + client["sent"] + client["waiting"]

@@ -16,9 +16,9 @@ import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
+from edoras_tools import words
 from edoras_tools.addons.lab.proof import HOSTS, CaptureProof, ModelRun
 from edoras_tools.decode.lines import line_of
-from edoras_tools.render import units
 from edoras_tools.render.bridge import losses as bridge_losses
 from edoras_tools.render.capture import tree
 from edoras_tools.render.capture.info import capture_summary
@@ -118,7 +118,7 @@ def sweep_plan(summary: Mapping[str, Any]) -> RenderableType:
     facts.add_row(
         "size", f"{sizes[0]:,} to {sizes[1]:,} bytes" if sizes[0] != sizes[1] else f"{sizes[0]:,} bytes"
     )
-    facts.add_row("step", units.duration(summary["step_s"]))
+    facts.add_row("step", words.duration(summary["step_s"]))
     facts.add_row("target", plain(summary["target"]))
     facts.add_row("listening", f"at {summary['listen']}")
     facts.add_row("would send", ", ".join(summary["sends"]))
@@ -171,8 +171,8 @@ def _steps(steps: list[Mapping[str, Any]], width: int) -> Table:
     columns = (
         Column("Rate", lambda step: Text(f"{step['rate_hz']:,} Hz")),
         Column("Size", lambda step: Text(f"{step['size']:,} B")),
-        Column("Sent", lambda step: Text(units.count(step["sent"]))),
-        Column("Delivered", lambda step: Text(units.count(step["delivered"]))),
+        Column("Sent", lambda step: Text(words.count(step["sent"]))),
+        Column("Delivered", lambda step: Text(words.count(step["delivered"]))),
         Column("Lost", figure("lost", Level.ERROR.style)),
         Column("Share", share, rank=1),
         Column("At", lambda step: plain(step["hop"] or ""), justify="left", elastic=True),
@@ -193,7 +193,7 @@ def cells_table(report: Mapping[str, Any], width: int) -> RenderableType:
         Column("Topic", lambda row: plain(row["topic"]), justify="left"),
         Column("Lost", _interval_of("loss", lambda value: f"{value:.2%}")),
         Column("Hz", _interval_of("rate_hz", lambda value: f"{value:.3g}"), rank=2),
-        Column("Delay", _interval_of("delay_ms", units.milliseconds), rank=1),
+        Column("Delay", _interval_of("delay_ms", words.milliseconds), rank=1),
     )
     table = build(columns, rows, width, apart=lambda row: row["cell"])
     end = f"Mean of the runs, and 95 % interval of the mean of all possible runs. Files: {report['folder']}"
@@ -204,7 +204,7 @@ def _interval_of(name: str, text: Callable[[float], str]) -> Callable[[Mapping[s
     def cell(row: Mapping[str, Any]) -> Text:
         interval = row[name]
         if interval is None:
-            return plain(units.NONE)
+            return plain(words.NONE)
         mean, low, high = (text(interval[key]) for key in ("mean", "low", "high"))
         return plain(mean if low == high else f"{mean} ({low} to {high})")
 
@@ -485,9 +485,9 @@ def _view(moment: Moment, lines: Sequence[Sequence[tuple[float, float]]]) -> lis
 
 def _head(summary: Mapping[str, Any], written: int) -> Text:
     head = plain(f"demo {summary['demo']}, ROS 2 through {summary['ros']}", palette.STRONG)
-    head.append(f"   {units.duration(summary['seconds'])}", palette.DIM)
+    head.append(f"   {words.duration(summary['seconds'])}", palette.DIM)
     head.append(f"   {summary['output']}: {plural(summary['recorded'], 'datagram')}", palette.DIM)
-    head.append(f", {units.size(written)}", palette.DIM)
+    head.append(f", {words.size(written)}", palette.DIM)
     if summary["foxglove"]:
         clients = len(summary["foxglove"]["clients"])
         head.append(f"   Foxglove {summary['foxglove']['url']}: {plural(clients, 'client')}", palette.DIM)
@@ -532,16 +532,16 @@ def _lost(row: Mapping[str, Any]) -> Text:
 
 
 def _arrived(row: Mapping[str, Any]) -> Text:
-    return Text(units.count(row["arrived"] + row["of_others"]), palette.STRONG)
+    return Text(words.count(row["arrived"] + row["of_others"]), palette.STRONG)
 
 
 def _hertz(value: float | None) -> Text:
-    return Text(units.rate(value).removesuffix(" Hz"), "" if value else palette.DIM)
+    return Text(words.rate(value).removesuffix(" Hz"), "" if value else palette.DIM)
 
 
 def _latency(name: str, percent: str) -> Any:
     return lambda row: Text(
-        units.milliseconds(None if row[name][percent] is None else row[name][percent] / 1000)
+        words.milliseconds(None if row[name][percent] is None else row[name][percent] / 1000)
     )
 
 

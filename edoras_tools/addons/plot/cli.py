@@ -61,11 +61,11 @@ def plot(
     from edoras_tools.addons.plot.series import open_recordings, parse_request, read_plot
     from edoras_tools.io.outputs import check_new
 
-    words = arguments or []
-    files = [*(read or ()), *(Path(item) for item in words if _is_file(item))]
+    items = arguments or []
+    files = [*(read or ()), *(Path(item) for item in items if _is_file(item))]
     if not files:
         raise ConfigError("name the input to plot: FILE... FIELD...")
-    requests = [parse_request(item) for item in words if not _is_file(item)]
+    requests = [parse_request(item) for item in items if not _is_file(item)]
     if output is not None:
         _check(output)
         check_new(output, files, force=force)
@@ -83,10 +83,10 @@ def plot(
     elif output is None:
         _print(report.figure)
     elif not printing.quiet:
-        from edoras_tools.render import units
+        from edoras_tools import words
 
         lines = sum(len(panel.lines) for panel in report.figure.panels)
-        sys.stderr.write(f"{output}: {report.figure.title}, {plural(lines, 'line')}, {units.size(size)}\n")
+        sys.stderr.write(f"{output}: {report.figure.title}, {plural(lines, 'line')}, {words.size(size)}\n")
     for source in sources:
         topics_read(source)
 

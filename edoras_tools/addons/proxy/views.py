@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
-from edoras_tools.render import units
+from edoras_tools import words
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveRun, LiveTable, Moment, title_line
@@ -121,7 +121,7 @@ def _view(moment: Moment) -> list[RenderableType]:
 
 
 def _latency(name: str) -> Any:
-    return lambda row: Text(units.microseconds(row["latency_us"][name]))
+    return lambda row: Text(words.microseconds(row["latency_us"][name]))
 
 
 def _lost(row: Mapping[str, Any]) -> Text:
@@ -131,7 +131,7 @@ def _lost(row: Mapping[str, Any]) -> Text:
 _WAYS: Final = (
     Column("Way", lambda row: plain(row["name"]), justify="left", elastic=True),
     Column("In", figure("received")),
-    Column("Rate", lambda row: Text(units.rate(row["rate"]))),
+    Column("Rate", lambda row: Text(words.rate(row["rate"]))),
     Column("Out", figure("sent")),
     Column("Queue", figure("queued"), rank=2),
     Column("Refused", figure("refused", Level.ERROR.style), rank=1),

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any, Final
 
+from edoras_tools import words
 from edoras_tools.addons.report import charts
 from edoras_tools.diagnosis.ledger import Row, summed
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.diagnosis.verdict import Severity, Verdict, alike, group_verdicts
-from edoras_tools.render import doctor, pages, units
+from edoras_tools.render import doctor, pages
 from edoras_tools.render.doctor import clean_to, limits, told_of
 from edoras_tools.wire.arrays import by_key
 from edoras_tools.words import plural
@@ -72,7 +73,7 @@ def _key(drawing: str, style: str = "") -> str:
     entries = [(label, label.upper()) for label in _LINKS if label in links]
     others = sorted(links - {*_LINKS})
     entries += [("other", ", ".join(others).upper())] * bool(others)
-    return pages.colour_key([*entries, *(entry for words, entry in _ENDS.items() if words in drawing)], style)
+    return pages.colour_key([*entries, *(entry for end, entry in _ENDS.items() if end in drawing)], style)
 
 
 def _card(svg: str) -> str:
@@ -82,7 +83,7 @@ def _card(svg: str) -> str:
 def _head(result: Diagnosis, name: str) -> str:
     seconds = (result.end_ns - result.start_ns) / 1e9
     when = (
-        f", {units.duration(seconds)} from {units.utc(result.start_ns, digits=3)} UTC"
+        f", {words.duration(seconds)} from {words.utc(result.start_ns, digits=3)} UTC"
         if result.datagrams
         else ""
     )
@@ -139,7 +140,7 @@ def _many(result: Diagnosis, several: Sequence[Sequence[Verdict]]) -> str:
     """Return many verdicts of one rule as one table, with the worst in full above it."""
     every = [item for members in several for item in members]
     rows = (
-        (_when(result, item), escape(item.reason), units.count(item.lost) if item.lost is not None else "")
+        (_when(result, item), escape(item.reason), words.count(item.lost) if item.lost is not None else "")
         for item in every[:_MOST_VERDICTS]
     )
     worst = max(several, key=lambda members: sum(item.lost or 0 for item in members))
@@ -159,7 +160,7 @@ def _verdict(result: Diagnosis, members: Sequence[Verdict]) -> str:
         reason, text = f"{lost:,} of {of:,} lost; {reason}", f"in {len(members)} periods"
         rows = (
             (
-                *(_when(result, item), units.count(item.lost), units.count(item.of)),
+                *(_when(result, item), words.count(item.lost), words.count(item.of)),
                 *(f"{100 * (item.lost or 0) / item.of:.0f}%" if item.of else "", item.confidence),
             )
             for item in members
@@ -197,7 +198,7 @@ def _rates(drawn: charts.Plots, whose: str) -> str:
 def _latency(drawn: charts.Plots, whose: str) -> str:
     def note(row: dict[str, Any]) -> str:
         latency = row["latency"]
-        figures = [units.milliseconds(latency[name]) for name in ("p50_ms", "p99_ms", "max_ms")]
+        figures = [words.milliseconds(latency[name]) for name in ("p50_ms", "p99_ms", "max_ms")]
         return "p50 {}, p99 {}, max {}".format(*figures)
 
     return pages.section(
@@ -265,9 +266,9 @@ def _routes(result: Diagnosis) -> str:
     rows = (
         (
             *(row["link"].upper(), row["msg_id"], row["topic"] or row["name"] or ""),
-            *(units.count(row[name]) for name in ("sent", "seen", "lost")),
-            units.count(row["gaps"]) if row["counted"] else "no count",
-            *(units.rate(row["rate_hz"] or None), clean_to(row), units.count(row["bytes_max"])),
+            *(words.count(row[name]) for name in ("sent", "seen", "lost")),
+            words.count(row["gaps"]) if row["counted"] else "no count",
+            *(words.rate(row["rate_hz"] or None), clean_to(row), words.count(row["bytes_max"])),
         )
         for row in result.routes
     )

@@ -51,6 +51,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import asdict
 
+from edoras_tools import words
 from edoras_tools.addons.runs.check import NOTABLE_FINDINGS, TO_END, CheckResult, Figures
 from edoras_tools.addons.runs.expectations import LOSS_KEYS, Unit
 from edoras_tools.addons.runs.run import Run, TopicValues
@@ -60,7 +61,6 @@ from edoras_tools.intervals import MEAN_CONFIDENCE, MeanInterval, t_quantile
 from edoras_tools.io.formats.columns import json_value
 from edoras_tools.mission import Mission
 from edoras_tools.pipelines.workbench import Workbench, open_files
-from edoras_tools.render import units
 from edoras_tools.units import SECOND
 from edoras_tools.wire import cfe
 from edoras_tools.words import plural
@@ -463,7 +463,7 @@ def _moved(quantity: str, place: Place, was: Sequence[float], now: Sequence[floa
     differs = abs(after - before) > least and (ends is None or not ends[0] <= 0 <= ends[1])
     worse = differs and (after < before) == (quantity == "rate_hz")
     name, key = place
-    word, text = ("", units.rate) if quantity == "rate_hz" else ("99 % within ", units.milliseconds)
+    word, text = ("", words.rate) if quantity == "rate_hz" else ("99 % within ", words.milliseconds)
     line = f"{name}: {word}{text(after)} instead of {text(before)}"
     return Point(quantity, name, *key[:2], before, after, worse, line, differs, interval=ends)
 
@@ -472,7 +472,7 @@ def _gone(place: Place | None, ours: Sequence[Route], theirs: Sequence[Route]) -
     """Compare the messages that did not arrive, of one route or of none."""
     name, (link, msg_id, _) = place or ("of no known route", (None, None, 0))
     route = name if place else None
-    for quantity, words in _GONE.items():
+    for quantity, label in _GONE.items():
         counts = [[(item[quantity], item["sent"]) for item in side] for side in (ours, theirs)]
         sent = [number for side in counts for _, number in side]
         if not any(sent):
@@ -488,7 +488,7 @@ def _gone(place: Place | None, ours: Sequence[Route], theirs: Sequence[Route]) -
         enough = place is None or min(sent for _, sent in counts[1]) >= FEWEST
         (was, of), (now, now_of) = ([sum(column) for column in zip(*side, strict=True)] for side in counts)
         text = (
-            f"{name}: {now:,} of {now_of:,} {words} ({after:.1%}) instead of {was:,} of {of:,} ({before:.1%})"
+            f"{name}: {now:,} of {now_of:,} {label} ({after:.1%}) instead of {was:,} of {of:,} ({before:.1%})"
         )
         values = (was, now) if ends is None else (before, after)
         worse = differs and after > before and enough

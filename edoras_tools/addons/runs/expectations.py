@@ -42,6 +42,7 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 import msgspec
 from msgspec.structs import replace
 
+from edoras_tools import words
 from edoras_tools.decode.filters.syntax import WhereError, parse_filter
 from edoras_tools.diagnosis.rules import rules
 from edoras_tools.mission.tree import (
@@ -54,7 +55,6 @@ from edoras_tools.mission.tree import (
     suggestion,
 )
 from edoras_tools.model import Finding
-from edoras_tools.render import units
 from edoras_tools.sessions.faults.rules import time_ns
 from edoras_tools.units import SECOND
 from edoras_tools.words import plural
@@ -95,11 +95,11 @@ class Unit(Enum):
     def text_of(self, value: float | None) -> str:
         """Return a value as text for people."""
         if value is None:
-            return units.NONE
+            return words.NONE
         if self is Unit.RATE:
             return f"{value:.4g} Hz"
         if self is Unit.TIME:
-            return units.milliseconds(value * 1e3)
+            return words.milliseconds(value * 1e3)
         return plural(int(value), "byte" if self is Unit.BYTES else "message")
 
 

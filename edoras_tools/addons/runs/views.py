@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
 
-from edoras_tools.render import units
+from edoras_tools import words
 from edoras_tools.render.capture.info import SPACECRAFT, link_text, msg_id_text, route_text
 from edoras_tools.render.doctor import latency_text
 from edoras_tools.render.severity import Level
@@ -36,7 +36,7 @@ def check_view(report: Mapping[str, Any], width: int) -> RenderableType:
         report: the report, in the form of ``check --json``.
     """
     head = plain(report["source"], palette.STRONG)
-    head.append(f"  {units.duration(report['seconds'])}", palette.DIM)
+    head.append(f"  {words.duration(report['seconds'])}", palette.DIM)
     lines: list[RenderableType] = []
     for item in report["results"]:
         mark, style = ("✓", "green") if item["passed"] else (Level.ERROR.mark, Level.ERROR.style)
@@ -91,15 +91,15 @@ def _figures(rows: Sequence[Mapping[str, Any]], width: int, *, many: bool) -> Re
 
     def text(row: Mapping[str, Any], value: float | None, *, sign: str = "") -> str:
         if value is None:
-            return units.NONE
+            return words.NONE
         if row["what"] == "lost":
             return f"{value:{sign},.0f}" if row["interval"] is None else f"{value:{sign}.2%}"
-        written = units.rate(abs(value)) if row["what"] == "rate_hz" else units.milliseconds(abs(value))
+        written = words.rate(abs(value)) if row["what"] == "rate_hz" else words.milliseconds(abs(value))
         return f"{'-' if value < 0 else sign}{written}"
 
     def difference(row: Mapping[str, Any]) -> Text:
         if row["good"] is None or row["bad"] is None:
-            return plain(units.NONE)
+            return plain(words.NONE)
         change = text(row, row["bad"] - row["good"], sign="+")
         if row["interval"] is not None:
             low, high = (text(row, value, sign="+") for value in row["interval"])
@@ -120,8 +120,8 @@ def _figures(rows: Sequence[Mapping[str, Any]], width: int, *, many: bool) -> Re
 def _side(side: Mapping[str, Any]) -> Text:
     line = plain(side["source"], palette.STRONG)
     line.append(
-        f"  {plural(side['datagrams'], 'datagram')} over {units.duration(side['seconds'])}, "
-        f"{units.count(side['lost'])} lost",
+        f"  {plural(side['datagrams'], 'datagram')} over {words.duration(side['seconds'])}, "
+        f"{words.count(side['lost'])} lost",
         palette.DIM,
     )
     return line
@@ -132,15 +132,15 @@ _DIFF: Final = (
     Column("MsgId", msg_id_text, justify="left"),
     Column("Topic", route_text, justify="left", elastic=True),
     Column("Way", lambda row: Text("←" if row["direction"] == "second to first" else "→")),
-    Column("First", lambda row: Text(units.count(row["first"]))),
-    Column("Second", lambda row: Text(units.count(row["second"]))),
-    Column("Same", lambda row: Text(units.count(row["same"]))),
+    Column("First", lambda row: Text(words.count(row["first"]))),
+    Column("Second", lambda row: Text(words.count(row["second"]))),
+    Column("Same", lambda row: Text(words.count(row["same"]))),
     Column("Lost", figure("lost", Level.ERROR.style)),
-    Column("Extra", lambda row: Text(units.count(row["extra"])), rank=1),
-    Column("Doubled", lambda row: Text(units.count(row["doubled"])), rank=1),
-    Column("Altered", lambda row: Text(units.count(row["altered"])), rank=1),
-    Column("Late", lambda row: Text(units.count(row["late"])), rank=1),
-    Column("In neither", lambda row: Text(units.count(row["neither"])), rank=1),
+    Column("Extra", lambda row: Text(words.count(row["extra"])), rank=1),
+    Column("Doubled", lambda row: Text(words.count(row["doubled"])), rank=1),
+    Column("Altered", lambda row: Text(words.count(row["altered"])), rank=1),
+    Column("Late", lambda row: Text(words.count(row["late"])), rank=1),
+    Column("In neither", lambda row: Text(words.count(row["neither"])), rank=1),
     Column("p50", lambda row: latency_text(row["latency"], "p50_ms"), rank=2),
     Column("p99", lambda row: latency_text(row["latency"], "p99_ms"), rank=2),
     Column("max", lambda row: latency_text(row["latency"], "max_ms"), rank=3),
@@ -152,7 +152,7 @@ def comparison_table(comparison: CaptureComparison, width: int) -> RenderableTyp
     rows = comparison.as_json()["routes"]
     drift = f" at the start, and drift by {comparison.drift * 1e6:+.1f} ppm" if comparison.drift else ""
     offset = (
-        f"clocks differ by {units.milliseconds(comparison.offset_ns / 1e6)}{drift}; latencies are beyond that"
+        f"clocks differ by {words.milliseconds(comparison.offset_ns / 1e6)}{drift}; latencies are beyond that"
     )
     columns = [*_DIFF, SPACECRAFT] if any("spacecraft" in row for row in rows) else _DIFF
     lost, neither, extra = (sum(row[name] for row in rows) for name in ("lost", "neither", "extra"))

@@ -12,14 +12,14 @@ import msgspec
 import numpy as np
 from rich.text import Text
 
+from edoras_tools import words
 from edoras_tools.addons.trace.tracing import MessageTrace, TraceRequest, TraceStep, Tracing
-from edoras_tools.render import pages, units
+from edoras_tools.render import pages
 from edoras_tools.render.capture.sequence import mermaid_text
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean, clip, fit, fit_right, wrap
-from edoras_tools.render.units import NONE
-from edoras_tools.words import plural
+from edoras_tools.words import NONE, plural
 
 if TYPE_CHECKING:
     from edoras_tools.addons.trace.rounds import HopRate, Rounds, Timing, TopicRates
@@ -59,7 +59,7 @@ def usual_text(trace: MessageTrace) -> str:
     if trace.usual is None:
         return text
     usual = trace.usual
-    p50, p99, most = map(units.milliseconds, (usual.p50, usual.p99, usual.most))
+    p50, p99, most = map(words.milliseconds, (usual.p50, usual.p99, usual.most))
     return f"{text}; {usual.count:,} were measured: p50 {p50}, p99 {p99}, max {most}"
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from edoras_tools.pipelines.reading import Limits
     from edoras_tools.pipelines.selection import Selection
     from edoras_tools.pipelines.workbench import Settings, Workbench
-    from edoras_tools.render.units import TimeFormat
+    from edoras_tools.words import TimeFormat
 
 
 def check_terminal() -> None:

@@ -30,8 +30,7 @@ from edoras_tools.pipelines.reading import Limits
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean
-from edoras_tools.render.units import TimeFormat
-from edoras_tools.words import plural
+from edoras_tools.words import TimeFormat, plural
 
 if TYPE_CHECKING:
     from edoras_tools.io import Source

@@ -16,7 +16,7 @@ from textual.binding import Binding
 from textual.widgets import Input
 from textual.worker import get_current_worker
 
-from edoras_tools import doors
+from edoras_tools import doors, words
 from edoras_tools.addons.tui.lists.lines import Lines
 from edoras_tools.addons.tui.lists.overviews import Drawing, Routes, finding_rows, room_rows, sum_rows
 from edoras_tools.addons.tui.lists.packet import HexPane
@@ -33,7 +33,6 @@ from edoras_tools.pipelines.capture.conversation import Conversation
 from edoras_tools.pipelines.capture.ledger import Ledger
 from edoras_tools.pipelines.capture.record import compact
 from edoras_tools.pipelines.reading import reading
-from edoras_tools.render import units
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal.text import clean
 from edoras_tools.words import plural
@@ -206,7 +205,7 @@ class Viewer(Navigation):
                 if not self.live and size >= self._choice.limit:  # of a live link the oldest are dropped
                     return (
                         f"only the first {plural(count, 'packet')} were read: the limit is "
-                        f"{units.size(size)}; select fewer with --link, --topic or --msg-id"
+                        f"{words.size(size)}; select fewer with --link, --topic or --msg-id"
                     )
         return ""
 

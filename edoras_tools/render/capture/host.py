@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from edoras_tools.render import units
+from edoras_tools import words
 from edoras_tools.render.terminal.text import clean
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def host_lines(
                 str(item.port),
                 links.get(item.port, ""),
                 item.address,
-                units.size(item.queued),
+                words.size(item.queued),
                 f"{item.drops:,}",
             )
             for item in sorted(host.sockets, key=lambda item: (item.port, item.address))
@@ -51,7 +51,7 @@ def host_lines(
         ("net.core.rmem_max", host.rmem_max),
         ("fs.mqueue.msg_max", host.msg_max),
     ):
-        yield f"{units.count(value) if value is not None else '-':>12}  {name}"
+        yield f"{words.count(value) if value is not None else '-':>12}  {name}"
     share = f"{steal:.1%}" if steal is not None else "-"
     yield f"{share:>12}  processor time that this machine's host kept (steal)"
     yield from ("", *advice) if advice else ()
@@ -71,14 +71,14 @@ def outage_lines(outages: Sequence[InterfaceOutage]) -> list[str]:
     for name in dict.fromkeys(outage.interface for outage in outages):
         own = [outage for outage in outages if outage.interface == name]
         over = [outage for outage in own if outage.end_ns]
-        words = []
+        parts = []
         if over:
-            words.append(f"was away {_lasted(over)}" + (f", {len(over):,} times" if len(over) > 1 else ""))
+            parts.append(f"was away {_lasted(over)}" + (f", {len(over):,} times" if len(over) > 1 else ""))
         if len(own) > len(over):
-            words.append("was not back at the end")
-        lines.append(f"{clean(name)} {' and '.join(words)}")
+            parts.append("was not back at the end")
+        lines.append(f"{clean(name)} {' and '.join(parts)}")
     return lines
 
 
 def _lasted(outages: Sequence[InterfaceOutage]) -> str:
-    return units.duration(sum(outage.end_ns - outage.start_ns for outage in outages) / 1e9)
+    return words.duration(sum(outage.end_ns - outage.start_ns for outage in outages) / 1e9)

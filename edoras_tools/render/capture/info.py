@@ -12,8 +12,8 @@ from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderR
 from rich.table import Table
 from rich.text import Text
 
+from edoras_tools import words
 from edoras_tools.links import table
-from edoras_tools.render import units
 from edoras_tools.render.severity import Level, explain
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.live_table import LiveRun, LiveTable, Moment, title_line
@@ -89,7 +89,7 @@ def _writers(rows: Sequence[Mapping[str, Any]]) -> Table:
     grid.add_row(*(plain(name, palette.STRONG) for name in heads))
     for row in rows:
         counts = (f"{row[name]:,}" for name in ("count", "missing", "copies"))
-        grid.add_row(plain(row["topic"], palette.STRONG), plain(row["type"] or units.NONE), *counts)
+        grid.add_row(plain(row["topic"], palette.STRONG), plain(row["type"] or words.NONE), *counts)
     for column in grid.columns[2:]:
         column.justify = "right"
     return grid
@@ -101,7 +101,7 @@ def contents_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     yield f"by       spacecraft {summary['spacecraft_id']}, processor {summary['processor_id']}"
     yield f"says     {clean(summary['description'])}"
     if summary["made_ns"]:
-        yield f"made     {units.utc(summary['made_ns'])} (mission time)"
+        yield f"made     {words.utc(summary['made_ns'])} (mission time)"
     if "table_name" in summary:
         yield f"table    {clean(summary['table_name'])}, {plural(summary['load_bytes'], 'byte')}"
     if not summary["entries"]:
@@ -121,8 +121,8 @@ def contents_lines(summary: Mapping[str, Any]) -> Iterator[str]:
 def _content(name: str, value: Any) -> str:
     """Return the text of an entry's field: a time, a duration, or the value."""
     if name == "time_ns":
-        return units.utc(value)
-    return units.milliseconds(value / 1e6) if name.endswith("_ns") else clean(str(value))
+        return words.utc(value)
+    return words.milliseconds(value / 1e6) if name.endswith("_ns") else clean(str(value))
 
 
 def totals(summary: Mapping[str, Any]) -> Table:
@@ -137,15 +137,15 @@ def totals(summary: Mapping[str, Any]) -> Table:
     count = summary["messages"] if topics else summary.get("datagrams", 0)
     line = Text(plural(count, "message" if topics else "datagram"))
     if summary.get("bytes"):
-        line.append(f", {units.size(summary['bytes'])}")
+        line.append(f", {words.size(summary['bytes'])}")
     if summary.get("skipped"):
         line.append(f", {plural(summary['skipped'], 'other frame')} skipped", palette.DIM)
     grid.add_row("content" if topics else "packets", line)
     start, end = summary.get("start_ns"), summary.get("end_ns")
     if count and start is not None and end is not None:
-        grid.add_row("from", Text(f"{units.utc(start)} UTC"))
-        span = Text(f"   {units.duration((end - start) / 1e9)}", palette.STRONG)
-        grid.add_row("to", Text(f"{units.utc(end)} UTC").append_text(span))
+        grid.add_row("from", Text(f"{words.utc(start)} UTC"))
+        span = Text(f"   {words.duration((end - start) / 1e9)}", palette.STRONG)
+        grid.add_row("to", Text(f"{words.utc(end)} UTC").append_text(span))
     if topics:
         return grid
     drops = summary.get("capture_drops")
@@ -164,7 +164,7 @@ def route_text(route: Mapping[str, Any]) -> Text:
     """Return a route's topic, or the name of its packets in another style."""
     if route.get("topic"):
         return plain(route["topic"], palette.STRONG)
-    return plain(route.get("name") or units.NONE)
+    return plain(route.get("name") or words.NONE)
 
 
 def _link(route: Mapping[str, Any]) -> Link | None:
@@ -180,7 +180,7 @@ def link_text(route: Mapping[str, Any]) -> Text:
 def msg_id_text(route: Mapping[str, Any]) -> Text:
     """Return a route's MsgId in its link's colour."""
     link = _link(route)
-    return plain(route.get("msg_id") or units.NONE, link.colour if link else "")
+    return plain(route.get("msg_id") or words.NONE, link.colour if link else "")
 
 
 def departures(counts: Mapping[str, int]) -> Text:
@@ -198,7 +198,7 @@ def departures(counts: Mapping[str, int]) -> Text:
 
 def _sizes(route: Mapping[str, Any]) -> Text:
     least, most = route.get("bytes_min"), route.get("bytes_max")
-    return Text(units.count(most) if least in {None, most} else f"{units.count(least)}-{units.count(most)}")
+    return Text(words.count(most) if least in {None, most} else f"{words.count(least)}-{words.count(most)}")
 
 
 def _several(route: Mapping[str, Any], key: str) -> float | None:
@@ -214,9 +214,9 @@ _COLUMNS: Final = (
     Column("Topic", route_text, justify="left", elastic=True),
     Column("Type", lambda row: plain(row.get("type") or ""), rank=6, justify="left"),
     _CPU,
-    Column("Count", lambda row: Text(units.count(row.get("count")), palette.STRONG)),
-    Column("Rate", lambda row: Text(units.rate(_several(row, "rate_hz")))),
-    Column("Jitter", lambda row: Text(units.milliseconds(_several(row, "jitter_ms"))), rank=2),
+    Column("Count", lambda row: Text(words.count(row.get("count")), palette.STRONG)),
+    Column("Rate", lambda row: Text(words.rate(_several(row, "rate_hz")))),
+    Column("Jitter", lambda row: Text(words.milliseconds(_several(row, "jitter_ms"))), rank=2),
     Column("Gaps", lambda row: count_cell(row.get("gaps"), Level.WARNING.style), rank=1),
     Column("Dup", lambda row: count_cell(row.get("duplicates"), Level.WARNING.style), rank=5),
     Column("Bytes", _sizes, rank=4),
@@ -259,7 +259,7 @@ def findings(counts: Mapping[str, int], datagrams: int, *, meaning: bool = True)
         share = (
             "" if not datagrams else "<1%" if 200 * count < datagrams else f"{100 * count / datagrams:.0f}%"
         )
-        table.add_row(name, units.count(count), share, *([Text(it.meaning)] if meaning else []))
+        table.add_row(name, words.count(count), share, *([Text(it.meaning)] if meaning else []))
     return table
 
 
@@ -270,21 +270,21 @@ _SIZES: Final = (
     Column("MsgId", msg_id_text, justify="left"),
     Column("Topic", route_text, justify="left", elastic=True),
     _CPU,
-    Column("Count", lambda row: Text(units.count(row["count"]), palette.STRONG)),
-    Column("Least, B", lambda row: Text(units.count(row["bytes_min"]))),
+    Column("Count", lambda row: Text(words.count(row["count"]), palette.STRONG)),
+    Column("Least, B", lambda row: Text(words.count(row["bytes_min"]))),
     Column("Mean, B", lambda row: Text(f"{row['bytes'] / row['count']:,.1f}")),
-    Column("Most, B", lambda row: Text(units.count(row["bytes_max"]))),
-    Column("Total", lambda row: Text(units.size(row["bytes"])), rank=1),
+    Column("Most, B", lambda row: Text(words.count(row["bytes_max"]))),
+    Column("Total", lambda row: Text(words.size(row["bytes"])), rank=1),
 )
 _NETWORK: Final = (
     Column("From", lambda row: plain(row["source"], palette.STRONG), justify="left"),
     Column("To", lambda row: plain(row["destination"]), justify="left"),
     Column("Message", lambda row: plain(row["message"]), justify="left", elastic=True),
-    Column("Count", lambda row: Text(units.count(row["count"]), palette.STRONG)),
-    Column("Every", lambda row: Text(units.milliseconds(row["period_ms"]))),
+    Column("Count", lambda row: Text(words.count(row["count"]), palette.STRONG)),
+    Column("Every", lambda row: Text(words.milliseconds(row["period_ms"]))),
     Column("First", lambda row: Text(f"{row['first_ns'] / 1e9:.3f} s"), rank=1),
     Column("Last", lambda row: Text(f"{row['last_ns'] / 1e9:.3f} s"), rank=1),
-    Column("Runs", lambda row: Text(units.count(row["runs"])), rank=2),
+    Column("Runs", lambda row: Text(words.count(row["runs"])), rank=2),
 )
 
 
@@ -329,7 +329,7 @@ def view(title: str, moment: Moment) -> Group:
 
     def now(row: Mapping[str, Any]) -> Text:
         rate = rates.get(_key(row))
-        return Text(units.rate(rate), "" if rate else palette.DIM)
+        return Text(words.rate(rate), "" if rate else palette.DIM)
 
     columns = (*_LIVE_COLUMNS[:3], Column("Now", now), *_LIVE_COLUMNS[3:])
     parts += [Text(), build(columns, rows[:room], moment.width)]
@@ -341,13 +341,13 @@ def view(title: str, moment: Moment) -> Group:
 def _totals(moment: Moment, rates: Mapping[object, float]) -> Text:
     count, drops = moment.summary.get("datagrams", 0), moment.summary.get("capture_drops")
     line = Text(plural(count, "packet"), palette.STRONG)
-    line.append(f"   {units.rate(rates.get(None)).replace('Hz', 'packets/s')}", palette.DIM)
+    line.append(f"   {words.rate(rates.get(None)).replace('Hz', 'packets/s')}", palette.DIM)
     if drops:
-        line.append(f"   {units.count(drops)} dropped", Level.ERROR.style)
+        line.append(f"   {words.count(drops)} dropped", Level.ERROR.style)
     elif drops is not None:
         line.append("   no drops", palette.DIM)
     if moment.written is not None:
-        line.append(f"   {units.size(moment.written)} written", palette.DIM)
+        line.append(f"   {words.size(moment.written)} written", palette.DIM)
     return line
 
 
@@ -356,10 +356,10 @@ _LIVE_COLUMNS: Final = (
     Column("MsgId", msg_id_text, justify="left"),
     Column("Topic", route_text, justify="left", elastic=True),
     Column("CPU", lambda row: plain(row.get("processor_id") or ""), rank=2),
-    Column("Count", lambda row: Text(units.count(row.get("count")), palette.STRONG)),
-    Column("Mean", lambda row: Text(units.rate(row.get("rate_hz") or None), palette.DIM), rank=3),
+    Column("Count", lambda row: Text(words.count(row.get("count")), palette.STRONG)),
+    Column("Mean", lambda row: Text(words.rate(row.get("rate_hz") or None), palette.DIM), rank=3),
     Column("Gaps", lambda row: count_cell(row.get("gaps")), rank=2),
-    Column("Largest", lambda row: Text(units.count(row.get("bytes_max"))), rank=4),
+    Column("Largest", lambda row: Text(words.count(row.get("bytes_max"))), rank=4),
     Column("Findings", lambda row: departures(row.get("findings") or {}), rank=1, justify="left"),
 )
 

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from edoras_tools import words
 from edoras_tools.model import NO_MSG_ID, Endpoint, Finding, Link
-from edoras_tools.render import units
 from edoras_tools.render.severity import EXPLANATIONS, Level, ranked
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import cells, clean, clip, clip_left, clip_middle, fit, fit_right
-from edoras_tools.render.units import TimeFormat
+from edoras_tools.words import TimeFormat
 
 if TYPE_CHECKING:
     from edoras_tools.decode.lines import PacketLine
@@ -260,7 +260,7 @@ class PacketList:
             return f"{(time_ns - (time_ns if previous is None else previous)) / 1e9:.6f}"[:width]
         if self._time_format is TimeFormat.EPOCH:
             return f"{time_ns // 1_000_000_000}.{time_ns // 1000 % 1_000_000:06}"[:width]
-        moment = units.utc(time_ns)
+        moment = words.utc(time_ns)
         return moment[:width] if width == len(moment) else moment[11 : 11 + width]
 
     def _route(self, source: Endpoint, destination: Endpoint) -> str:

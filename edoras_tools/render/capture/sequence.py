@@ -8,7 +8,7 @@ from typing import Final
 
 import msgspec
 
-from edoras_tools.render import units
+from edoras_tools import words
 from edoras_tools.render.severity import Level, explain
 from edoras_tools.render.terminal.text import clean
 
@@ -49,10 +49,10 @@ class SequenceMessage(msgspec.Struct, frozen=True):
         begin, end = self.first_ns / 1e9, self.last_ns / 1e9
         when = f"{begin:.3f} s" if self.count == 1 else f"{begin:.3f} to {end:.3f} s"
         often = f" x{self.count:,}" if self.count > 1 else ""
-        period = f" every {units.milliseconds(self.period_ns / 1e6)}" if self.period_ns >= 1e6 else ""
-        words = f"{self.label}{often}{period}, {when}"
+        period = f" every {words.milliseconds(self.period_ns / 1e6)}" if self.period_ns >= 1e6 else ""
+        text = f"{self.label}{often}{period}, {when}"
         notable = [label for label in self.findings if explain(label).severity >= Level.WARNING]
-        return f"{words} ! {', '.join(notable)}" if notable else words
+        return f"{text} ! {', '.join(notable)}" if notable else text
 
 
 def mermaid(messages: Sequence[SequenceMessage]) -> Iterator[str]:

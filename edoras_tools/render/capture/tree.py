@@ -12,12 +12,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby, islice, zip_longest
 from typing import Any, Final, Literal, NamedTuple
 
+from edoras_tools import words
 from edoras_tools.decode.lines import line_of
 from edoras_tools.decode.stack import recorded_topic
 from edoras_tools.errors import ConfigError
 from edoras_tools.io.frames.linklayer import checksum_fault
 from edoras_tools.model import NO_MSG_ID, NO_ROUTE, Decoded, Layer, LayerField
-from edoras_tools.render import units
 from edoras_tools.render.severity import EXPLANATIONS, Explanation, Level, ranked
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.palette import FILE_WIDTH
@@ -292,7 +292,7 @@ def _packet(decoded: Decoded) -> Iterator[TreeRow]:
     recorded = datagram.topic != NO_ROUTE
     if not recorded:
         length += f" in a {frame}"
-    value = f"{units.utc(datagram.time_ns)} UTC  {length}"
+    value = f"{words.utc(datagram.time_ns)} UTC  {length}"
     title = "Message" if recorded else "Packet"
     yield TreeRow("packet", 0, f"{title} {datagram.number}", value, style=style)
     if recorded:

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
+from edoras_tools import words
 from edoras_tools.io import Source, SourceOver
 from edoras_tools.io.outputs import output_name
-from edoras_tools.render import units
 from edoras_tools.render.terminal.palette import detect_terminal
 from edoras_tools.render.terminal.text import clean, size_of
 from edoras_tools.words import plural
@@ -77,7 +77,7 @@ def byte_progress(path: Path, *, quiet: bool) -> Iterator[Callable[[int, int], N
     from edoras_tools.render.terminal.progress import FileProgress
 
     with FileProgress(path.name, console=error_console()) as bar:
-        yield lambda count, of: bar.step("checking", count, of, units.size)
+        yield lambda count, of: bar.step("checking", count, of, words.size)
 
 
 def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | None = None) -> str:
@@ -93,18 +93,18 @@ def recorded(summary: Mapping[str, Any], outputs: Sequence[Path], keep: Keep | N
     topics += [count for row in rows for count in row.get("topics", {}).values()]
     messages = sum(topics)
     total = summary.get("messages") or summary.get("datagrams")
-    over = f" over {units.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}" if total else ""
+    over = f" over {words.duration((summary['end_ns'] - summary['start_ns']) / 1e9)}" if total else ""
     on = f"{plural(messages, 'message')} on {plural(len(topics), 'topic')}"
     if samples := summary.get("samples"):
         on += f", {plural(sum(row['count'] for row in samples), 'sample')} of DDS"
     if "messages" in summary:  # a recording without datagrams
-        noun, words = "message", [on + over]
+        noun, parts = "message", [on + over]
     else:
-        noun, words = "datagram", [plural(summary.get("datagrams", 0), "datagram"), on]
-        words[0] += over
+        noun, parts = "datagram", [plural(summary.get("datagrams", 0), "datagram"), on]
+        parts[0] += over
     if written := sum(map(size_of, outputs)):
-        words.append(units.size(written))
+        parts.append(words.size(written))
     if keep and keep.deleted:
-        words.append(f"{plural(keep.deleted, 'older file')} with {plural(keep.datagrams, noun)} deleted")
+        parts.append(f"{plural(keep.deleted, 'older file')} with {plural(keep.datagrams, noun)} deleted")
     name = output_name(outputs[0]) if len(outputs) == 1 else f"{outputs[0]} to {outputs[-1].name}"
-    return f"{clean(name)}: {', '.join(words)}"
+    return f"{clean(name)}: {', '.join(parts)}"

@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from edoras_tools.render import units
+from edoras_tools import words
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import facts_grid, plain
@@ -45,12 +45,12 @@ def outcome(summary: Mapping[str, Any], target: str) -> RenderableType:
         target: target of the datagrams.
     """
     facts = facts_grid()
-    over = f" over {units.duration(summary['duration_s'])}" if summary["duration_s"] else ""
+    over = f" over {words.duration(summary['duration_s'])}" if summary["duration_s"] else ""
     ended = "  (ended early)" if summary["interrupted"] else ""
     facts.add_row("sent", f"{plural(summary['sent'], 'datagram')} to {target}{over}{ended}")
     if summary["rate_achieved_hz"] is not None:
         target_rate = _rate(summary["rate_asked_hz"])
-        facts.add_row("rate", f"{units.rate(summary['rate_achieved_hz'])}, asked: {target_rate}")
+        facts.add_row("rate", f"{words.rate(summary['rate_achieved_hz'])}, asked: {target_rate}")
     late = summary["lateness_us"]
     if late["p50"] is not None:
         facts.add_row("lateness", "  ".join(f"{name} {_micro(late[name])}" for name in ("p50", "p99", "max")))
@@ -90,12 +90,12 @@ def _ingested(ingest: Mapping[str, Any] | None) -> Text | None:
     if ingest is None or ingest["state"] == "unknown":
         return None
     read, sent, missing = ingest["read"], ingest["sent"], ingest["missing"]
-    of = f"{units.count(read)} of {units.count(sent)}" if read is not None else ""
+    of = f"{words.count(read)} of {words.count(sent)}" if read is not None else ""
     never_came = (
-        f"{units.count(missing or 0)} never came to it: its socket was full, or they were lost on the way"
+        f"{words.count(missing or 0)} never came to it: its socket was full, or they were lost on the way"
     )
     text, style = {
-        "all": (f"all {units.count(sent)} by Command Ingest", ""),
+        "all": (f"all {words.count(sent)} by Command Ingest", ""),
         "missing": (f"{of} by Command Ingest; {never_came}", Level.ERROR.style),
         "waiting": (
             f"{of} by Command Ingest when listening ended; the others may wait in its socket",
@@ -112,11 +112,11 @@ def _ingested(ingest: Mapping[str, Any] | None) -> Text | None:
 
 
 def _rate(hertz: float | None) -> str:
-    return "as fast as it goes" if hertz is None else units.rate(hertz)
+    return "as fast as it goes" if hertz is None else words.rate(hertz)
 
 
 def _micro(microseconds: float) -> str:
-    return f"{microseconds:.1f} µs" if microseconds < 999.5 else units.milliseconds(microseconds / 1e3)
+    return f"{microseconds:.1f} µs" if microseconds < 999.5 else words.milliseconds(microseconds / 1e3)
 
 
 def _routes(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -125,7 +125,7 @@ def _routes(rows: Sequence[Mapping[str, Any]]) -> Table:
     for title in ("Link", "MsgId", "Topic", "Count")[not linked :]:
         table.add_column(title, justify="right" if title == "Count" else "left", no_wrap=True)
     for row in rows:
-        name = row.get("topic") or row.get("name") or units.NONE
-        cells = (plain(row["msg_id"] or units.NONE), plain(name), plain(units.count(row["count"])))
+        name = row.get("topic") or row.get("name") or words.NONE
+        cells = (plain(row["msg_id"] or words.NONE), plain(name), plain(words.count(row["count"])))
         table.add_row(*((plain((row.get("link") or "").upper()),) if linked else ()), *cells)
     return table

@@ -7,7 +7,7 @@ import time
 from contextlib import AbstractContextManager, nullcontext
 from typing import Final, Protocol, TextIO
 
-from edoras_tools.render import units
+from edoras_tools import words
 from edoras_tools.render.terminal.palette import detect_terminal
 
 _REFRESH_S: Final = 0.2
@@ -50,7 +50,7 @@ class StatusLine(AbstractContextManager["StatusLine"]):
             return
         self._drawn = now
         of = f" of {self._total:,}" if self._total else ""
-        rate = f"   {units.rate(report.achieved_hz)}" if report.achieved_hz else ""
+        rate = f"   {words.rate(report.achieved_hz)}" if report.achieved_hz else ""
         self._out.write(f"\r\x1b[Ksent {report.sent:,}{of}{rate}{f'   {_KEYS}' if self._keys else ''}")
         self._out.flush()
 

@@ -22,7 +22,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, Generic, NamedTuple, Protocol,
 
 from rich.live import Live
 
-from edoras_tools.render import units
+from edoras_tools import words
 from edoras_tools.render.severity import Level
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.table import one_line, plain
@@ -296,10 +296,10 @@ def title_line(title: str, moment: Moment) -> Text:
     """Return the first line of a live table: name of the run, time, output and losses."""
     line = plain(title, palette.STRONG)
     if moment.elapsed is not None:
-        line.append(f"   {units.duration(moment.elapsed)}", palette.DIM)
+        line.append(f"   {words.duration(moment.elapsed)}", palette.DIM)
     if moment.summary.get("recorded") is not None:
         line.append(f"   {plural(moment.summary['recorded'], 'datagram')} recorded", palette.DIM)
-        line.append(f", {units.size(moment.written or 0)}", palette.DIM)
+        line.append(f", {words.size(moment.written or 0)}", palette.DIM)
     if moment.summary.get("lost"):
-        line.append(f"   {units.count(moment.summary['lost'])} lost", Level.ERROR.style)
+        line.append(f"   {words.count(moment.summary['lost'])} lost", Level.ERROR.style)
     return one_line(line)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from rich.progress import BarColumn, Progress, TextColumn
 
-from edoras_tools.render import units
+from edoras_tools import words
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import ReadingRun, clean, clip_left
 
@@ -104,9 +104,9 @@ def figures(statistics: SourceStatistics, elapsed: float) -> str:
         elapsed: s since reading began, more than 0.
     """
     position, total = statistics.position, statistics.total_bytes
-    words = [units.size(position or statistics.bytes), f"{statistics.datagrams / elapsed:,.0f} packets/s"]
+    parts = [words.size(position or statistics.bytes), f"{statistics.datagrams / elapsed:,.0f} packets/s"]
     if total:
-        words.insert(0, f"{100 * min(position, total) / total:.0f}%")
+        parts.insert(0, f"{100 * min(position, total) / total:.0f}%")
         if position:
-            words.append(f"{units.duration(max(0, total - position) * elapsed / position)} left")
-    return "  ".join(words)
+            parts.append(f"{words.duration(max(0, total - position) * elapsed / position)} left")
+    return "  ".join(parts)

@@ -9,7 +9,7 @@ import msgspec
 from rich.table import Table
 from rich.text import Text
 
-from edoras_tools.render import units
+from edoras_tools import words
 from edoras_tools.render.terminal import palette
 from edoras_tools.render.terminal.text import clean, clip_middle
 
@@ -89,7 +89,7 @@ def figure(name: str, style: str = "") -> Callable[[Mapping[str, Any]], Text]:
 
 def count_cell(value: int | None, style: str = "") -> Text:
     """Return ``1,827``; 0 is dim, anything else in ``style``."""
-    return Text(units.count(value), style if value else palette.DIM)
+    return Text(words.count(value), style if value else palette.DIM)
 
 
 def _fitting(

@@ -15,7 +15,7 @@ from edoras_tools.decode.filters.filter import Where
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.links.sbn import SBN
 from edoras_tools.pipelines.selection import Selection
-from edoras_tools.render.units import TimeFormat
+from edoras_tools.words import TimeFormat
 
 
 def test_a_file_opens_with_its_first_packet(drive):

@@ -9,8 +9,8 @@ from edoras_tools.decode.lines import line_of
 from edoras_tools.model import NO_MSG_ID, Finding, Peer
 from edoras_tools.render.capture.packet_list import PacketList
 from edoras_tools.render.terminal.text import cells, plain_cells
-from edoras_tools.render.units import TimeFormat
 from edoras_tools.wire import sbn
+from edoras_tools.words import TimeFormat
 
 WIDTHS = [80, 120, 160, 200]
 

@@ -31,7 +31,7 @@ from edoras_tools.pipelines.capture.sniff import column_texts, is_number
 from edoras_tools.render.capture.packet_list import COLUMNS, PacketList
 from edoras_tools.render.severity import EXPLANATIONS, NOTABLE, Level
 from edoras_tools.render.terminal.text import clean
-from edoras_tools.render.units import TimeFormat
+from edoras_tools.words import TimeFormat
 
 if TYPE_CHECKING:
     from rich.console import Console

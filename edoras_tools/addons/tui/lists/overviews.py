@@ -19,10 +19,10 @@ from rich.text import Text
 from textual.binding import Binding
 from textual.strip import Strip
 
+from edoras_tools import words
 from edoras_tools.addons.tui.lists.lines import Lines, strip_of
 from edoras_tools.links.table import link_of_label
 from edoras_tools.model import Link
-from edoras_tools.render import units
 from edoras_tools.render.capture.info import SPACECRAFT, departures, link_text, msg_id_text, route_text
 from edoras_tools.render.plot.terminal import plot_lines
 from edoras_tools.render.severity import Level, explain
@@ -166,13 +166,13 @@ def sum_rows(every: Ledger, listed: Ledger, facts: Sequence[str]) -> list[DrawnR
 def _sum_texts(ledger: Ledger) -> list[str]:
     """Return the texts of ``_SUMS``."""
     if not (count := ledger.datagrams):
-        return ["0", *[units.NONE] * (len(_SUMS) - 1)]
+        return ["0", *[words.NONE] * (len(_SUMS) - 1)]
     seconds, size = (
         (ledger.end_ns - ledger.start_ns) / 1e9,
         sum(item.bytes for item in ledger.accounts.values()),
     )
-    rates = [f"{value / seconds:,.1f}" if seconds else units.NONE for value in (count, size)]
-    times = [units.utc(item, digits=3) for item in (ledger.start_ns, ledger.end_ns)]
+    rates = [f"{value / seconds:,.1f}" if seconds else words.NONE for value in (count, size)]
+    times = [words.utc(item, digits=3) for item in (ledger.start_ns, ledger.end_ns)]
     return [f"{count:,}", f"{size:,}", *times, f"{seconds:,.3f} s", *rates, f"{size / count:,.1f}"]
 
 
@@ -276,7 +276,7 @@ def _severity(item: SequenceMessage) -> Level:
 def _words(item: SequenceMessage, room: int) -> Text:
     """Return the text of an arrow: label, count, period, end, findings."""
     often = f"  x{item.count:,}" if item.count > 1 else ""
-    period = f" every {units.milliseconds(item.period_ns / 1e6)}" if item.period_ns >= 1e6 else ""
+    period = f" every {words.milliseconds(item.period_ns / 1e6)}" if item.period_ns >= 1e6 else ""
     until = f" until {item.last_ns / 1e9:.3f}" if item.count > 1 else ""
     wrong = [explain(label) for label in item.findings]
     badge = " ".join(
@@ -325,7 +325,7 @@ def room_rows(state: Mapping[str, Any], width: int, console: Console, *, live: b
     for item in state["events"]:
         style = _LEVELS.get(item["level"], Level.NOTE)
         mark = Text.assemble(
-            (f" {units.utc(item['time_ns'])[11:19]} ", palette.DIM),
+            (f" {words.utc(item['time_ns'])[11:19]} ", palette.DIM),
             (f"{clip(clean(item['app']), 16):<16} ", "" if style is Level.NOTE else style.style),
         )
         times = f" ({item['count']:,} times)" if item["count"] > 1 else ""
@@ -340,18 +340,18 @@ def _heading(title: str) -> list[DrawnRow]:
 def _state_line(state: Mapping[str, Any], *, live: bool) -> Text:
     silent = state["silent_s"]
     if not live:
-        words, style = "at the end of the file", palette.DIM
+        text, style = "at the end of the file", palette.DIM
     elif silent is None:
-        words, style = "no traffic yet", Level.WARNING.style
+        text, style = "no traffic yet", Level.WARNING.style
     elif silent >= _SILENT_S:
-        words, style = f"silent for {_seconds(silent)}", f"bold {Level.WARNING.style}"
+        text, style = f"silent for {_seconds(silent)}", f"bold {Level.WARNING.style}"
     else:
-        words, style = "● live", f"bold {palette.GOOD}"
+        text, style = "● live", f"bold {palette.GOOD}"
     drops = state["kernel_drops"]
     lost = f", {drops:,} lost by this capture" if drops else ""
-    sums = f"{_rate(state['rate_hz'])} datagrams/s, {units.size(state['bytes_per_s'])}/s, "
+    sums = f"{_rate(state['rate_hz'])} datagrams/s, {words.size(state['bytes_per_s'])}/s, "
     return Text.assemble(
-        " ", (words, style), "  ", (f"{sums}{state['datagrams']:,} in all{lost}", palette.DIM)
+        " ", (text, style), "  ", (f"{sums}{state['datagrams']:,} in all{lost}", palette.DIM)
     )
 
 
@@ -370,7 +370,7 @@ def _doctor_rows(doctor: Mapping[str, Any], now_ns: int, width: int) -> Iterator
             mark = Text.assemble((" ▌", severity.style), (" " * 7 + "→ ", palette.GOOD))
             yield from hanging(mark, clean(item["remedy"]) + rest, width, where)
     age = _seconds(max(0.0, (now_ns - doctor["until_ns"]) / 1e9))
-    since = f" since {units.utc(doctor['since_ns'])[11:19]}" if doctor["since_ns"] else ""
+    since = f" since {words.utc(doctor['since_ns'])[11:19]}" if doctor["since_ns"] else ""
     uncertain = f"; up to {doctor['uncertain']:,} more may be lost" if doctor["uncertain"] else ""
     text = f"{doctor['fine']} {doctor['datagrams']:,} datagrams judged{since}, {age} ago{uncertain}."
     yield from hanging(Text(" ▌", colour), clean(text.strip()), width, style=palette.DIM)
@@ -435,10 +435,10 @@ def _route_rows(routes: list[dict[str, Any]], width: int, console: Console) -> I
 
 
 def _route_filter(row: Mapping[str, Any]) -> str:
-    words = [f"link == {row['link']}"] if row["link"] else []
-    words += [f"msg_id == {row['msg_id']}"] if row["msg_id"] else []
-    words += [f"spacecraft == {row['spacecraft']}"] if row["spacecraft"] != 1 else []
-    return " and ".join(words)
+    terms = [f"link == {row['link']}"] if row["link"] else []
+    terms += [f"msg_id == {row['msg_id']}"] if row["msg_id"] else []
+    terms += [f"spacecraft == {row['spacecraft']}"] if row["spacecraft"] != 1 else []
+    return " and ".join(terms)
 
 
 def _topic(row: Mapping[str, Any]) -> Text:
@@ -500,7 +500,7 @@ _GUTTER: Final = 2
 
 def _rate_cell(row: Mapping[str, Any], key: str) -> Text:
     value = row.get(key) if row["count"] > 1 else None
-    return Text(units.rate(value or None), "" if value else palette.DIM)
+    return Text(words.rate(value or None), "" if value else palette.DIM)
 
 
 _ROUTE_COLUMNS: Final = (
@@ -509,12 +509,12 @@ _ROUTE_COLUMNS: Final = (
     Column("Topic", route_text, justify="left", elastic=True),
     Column("Type", lambda row: plain(row.get("type") or "", palette.DIM), rank=6, justify="left"),
     Column("CPU", lambda row: plain(row.get("processor_id") or ""), rank=3),
-    Column("Count", lambda row: Text(units.count(row["count"]), palette.STRONG)),
+    Column("Count", lambda row: Text(words.count(row["count"]), palette.STRONG)),
     Column("Now", lambda row: _rate_cell(row, _RATE)),
     Column("Mean", lambda row: _rate_cell(row, "rate_hz"), rank=1),
-    Column("Jitter", lambda row: Text(units.milliseconds(row["jitter_ms"] or None)), rank=4),
+    Column("Jitter", lambda row: Text(words.milliseconds(row["jitter_ms"] or None)), rank=4),
     Column("Gaps", figure("gaps", "yellow"), rank=2),
-    Column("Bytes", lambda row: Text(units.size(row["bytes"])), rank=5),
+    Column("Bytes", lambda row: Text(words.size(row["bytes"])), rank=5),
     Column("Findings", lambda row: departures(row["findings"]), rank=1, justify="left"),
 )
 
@@ -602,16 +602,16 @@ class Routes(Lines):
     def filter(self) -> str:
         """The filter for the route under the cursor."""
         row = self._rows[self.cursor]
-        words = [f"link == {row['link']}"]
+        terms = [f"link == {row['link']}"]
         if row["msg_id"]:
-            words.append(f"msg_id == {row['msg_id']}")
+            terms.append(f"msg_id == {row['msg_id']}")
         elif (row["name"] or "").startswith("SBN_") and "0x" not in row["name"]:
-            words.append(f"sbn.msg_type == {row['name'].removeprefix('SBN_')}")
+            terms.append(f"sbn.msg_type == {row['name'].removeprefix('SBN_')}")
         if row["processor_id"]:
-            words.append(f"processor_id == {row['processor_id']}")
+            terms.append(f"processor_id == {row['processor_id']}")
         if "spacecraft" in row:
-            words.append(f"spacecraft == {row['spacecraft']}")
-        return " and ".join(words)
+            terms.append(f"spacecraft == {row['spacecraft']}")
+        return " and ".join(terms)
 
     def header(self) -> Text:
         """Return the column titles."""
