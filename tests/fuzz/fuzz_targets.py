@@ -40,10 +40,9 @@ from edoras_tools.diagnosis.examination import Examination
 from edoras_tools.diagnosis.missing import missing
 from edoras_tools.diagnosis.summary import summarize
 from edoras_tools.errors import CaptureError, ConfigError, FieldError, WireError
-from edoras_tools.io.formats.mcap.recover import recover as run_recover
-from edoras_tools.io.formats.mcap.recover import verify
 from edoras_tools.io.formats.open import open_file
 from edoras_tools.io.formats.pcapng import PcapngSink
+from edoras_tools.io.formats.recover import repair
 from edoras_tools.io.frames.frame_batch import FrameBatch
 from edoras_tools.io.frames.linklayer import Demux
 from edoras_tools.mission import Mission, load, loads
@@ -225,12 +224,12 @@ def recover(data: bytes) -> Hashable:
         source, target = Path(folder) / "x.mcap", Path(folder) / "y.mcap"
         source.write_bytes(data)
         try:
-            report = run_recover(source, target)
+            report = repair(source, target)
         except CaptureError as error:
             one_line(str(error))
             assert not target.exists(), "an output without a message"
             return str(error).partition(":")[2][:30]
-        assert verify(source) == report, "verified and recovered are not the same"
+        assert repair(source, None) == report, "verified and recovered are not the same"
         if report.whole:
             return "whole", report.unproved > 0
         with target.open("rb") as file:
@@ -239,7 +238,7 @@ def recover(data: bytes) -> Hashable:
             # By its index mcap finds only the messages in chunks.
             assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) <= found
         assert found == sum(report.messages.values()), "the report and the result differ"
-        again = verify(target)
+        again = repair(target, None)
         assert again.whole, again.reasons
         assert report.lost or report.lost_messages == 0
         return len(report.messages), report.left_out > 0, report.lost, tuple(report.reasons)

@@ -26,9 +26,7 @@ from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.formats.capture_file import Window
 from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES
 from edoras_tools.io.formats.mcap.file import MESSAGE_HEAD, RECORD_HEAD, McapFile, pack_chunks
-from edoras_tools.io.formats.mcap.recover import read_again
-from edoras_tools.io.formats.mcap.recover import recover as recover_mcap
-from edoras_tools.io.formats.mcap.recover import verify as verify_mcap
+from edoras_tools.io.formats.mcap.recover import Recording, read_again
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, KnownTopics, walk
 from edoras_tools.io.formats.mcap.recovery.report import LostStretch, Recovery
 from edoras_tools.io.formats.open import unwrapped
@@ -80,10 +78,18 @@ def repair(
     unproved: bool = False,
     progress: Progress = lambda *_: None,
 ) -> Recovery:
-    """Repair a damaged or cut-off file; see ``mcap.recover.recover``.
+    """Repair a damaged or cut-off file.
 
     Args:
-        target: output file; None: only report what can be recovered.
+        source: the file; it is only read.
+        target: the file to write; it appears when it is complete, and only if ``source`` is not intact.
+            None: only report what can be recovered.
+        topics: topics of a recording of ours whose channel records are lost.
+        unproved: also keep readable messages of damaged and cut-off chunks.
+        progress: called with the bytes read and the bytes in total; each further reading starts again.
+
+    Returns:
+        The report.
 
     Raises:
         CaptureError: ``source`` cannot be read or contains nothing to recover, or ``target`` cannot be
@@ -91,13 +97,13 @@ def repair(
         ConfigError: ``target`` is ``source``.
     """
     topics, kind = topics or KnownTopics(), repairable_as(source)
-    if kind == "mcap":
-        if target is None:
-            return verify_mcap(source, topics=topics, unproved=unproved, progress=progress)
-        return recover_mcap(source, target, topics=topics, unproved=unproved, progress=progress)
     if target is not None and target.exists() and target.samefile(source):
         raise ConfigError(f"{target}: is the recording itself; name another file to write")
-    recording = _Database(source, topics, unproved) if kind == "db3" else _Capture(source, kind)
+    recording: Recording | _Database | _Capture
+    if kind in _OPENINGS:
+        recording = _Capture(source, kind)
+    else:
+        recording = (_Database if kind == "db3" else Recording)(source, topics, unproved)
     report = recording.report(progress)
     if not sum(report.messages.values()) and not report.whole:
         raise CaptureError(f"{source}: it contains nothing to recover")

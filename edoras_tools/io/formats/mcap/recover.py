@@ -19,8 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Container, Mapping, Sequence
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import zstandard
@@ -44,7 +43,7 @@ from mcap.stream_reader import breakup_chunk
 from msgspec.structs import replace
 
 from edoras_tools import __version__
-from edoras_tools.errors import CaptureError, ConfigError, os_errors
+from edoras_tools.errors import CaptureError, os_errors
 from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES, Proof
 from edoras_tools.io.formats.mcap.file import (
     MESSAGE_HEAD,
@@ -76,102 +75,63 @@ from edoras_tools.io.formats.mcap.recovery.report import (
     summaries,
 )
 from edoras_tools.io.formats.mcap.writer import METADATA_NAME, OPENING_METADATA_NAME
-from edoras_tools.io.outputs import NewFile
 from edoras_tools.io.topics.messages import MAGIC
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from edoras_tools.io.outputs import NewFile
 
 _BY_LIBRARY: Final = 20_000
 """Approximate number of messages to read with the ``mcap`` library too: it takes some 40 us for each."""
 _COPY_BYTES = 1 << 20
 
 
-def verify(
-    source: str | Path,
-    *,
-    topics: KnownTopics | None = None,
-    unproved: bool = False,
-    progress: Callable[[int, int], None] = lambda *_: None,
-) -> Recovery:
-    """Read a recording completely, check every checksum, and report what ``recover`` would do.
-
-    Arguments are those of ``recover``.
-
-    Raises:
-        CaptureError: the file cannot be read, is not MCAP, or has no message that could be kept.
-    """
-    with FileBytes(Path(source)) as file:
-        return _examined(file, topics or KnownTopics(), progress, unproved=unproved)[0]
-
-
-def _examined(
-    file: FileBytes, topics: KnownTopics, progress: Callable[[int, int], None], *, unproved: bool
-) -> tuple[Recovery, Sequence[Stretch]]:
-    """Return the report of what can be recovered, and the stretches that a further reading needs."""
-    first = _Assembly(file, None, topics, unproved=unproved)
-    report, stretches = first.run(progress), first.stretches
-    if first.doubtful and any(item.proved or item.fits for item in stretches):
-        report = _Assembly(file, None, topics, stretches, unproved=unproved).run(progress)
-    else:
-        stretches = []
-    if not report.whole and not sum(report.messages.values()):
-        damaged = any(loss.messages for loss in report.losses) or report.left_out
-        if not damaged and file.read(0, len(MAGIC)) != MAGIC:
-            raise CaptureError(f"{file.path}: is not an MCAP file, or one without any complete record")
-        why = f": {report.losses[0].reason}" if report.losses else ""
-        raise CaptureError(f"{file.path}: it contains nothing to recover{why}")
-    return report, stretches
-
-
-def recover(
-    source: str | Path,
-    target: str | Path,
-    *,
-    topics: KnownTopics | None = None,
-    unproved: bool = False,
-    progress: Callable[[int, int], None] = lambda *_: None,
-) -> Recovery:
-    """Repair a damaged or cut-off MCAP file, or several in sequence, written by any program.
+class Recording:
+    """A damaged or cut-off MCAP file, or several in sequence, written by any program.
 
     Intact chunks are kept byte for byte. Message index, chunk index, statistics and summary are rebuilt.
 
     Args:
-        source: the file; it is only read.
-        target: the file to write; it appears when it is complete, and only if ``source`` is not intact.
         topics: topics of a recording of ours whose channel records are lost.
         unproved: also keep readable messages of damaged and cut-off chunks.
-        progress: called with the bytes read and the bytes in total; each further reading starts again.
-
-    Returns:
-        The report.
-
-    Raises:
-        CaptureError: ``source`` cannot be read, is not an MCAP file or has no message that could be kept, or
-            ``target`` cannot be written.
-        ConfigError: ``target`` is ``source``.
     """
-    source, target = Path(source), Path(target)
-    if target.exists() and source.exists() and target.samefile(source):
-        raise ConfigError(f"{target}: is the recording itself; name another file to write")
-    topics = topics or KnownTopics()
-    with FileBytes(source) as file:
-        report, stretches = _examined(file, topics, progress, unproved=unproved)
-        if report.whole:
-            return report
-        with os_errors(f"{target}: cannot be written"):
-            new = NewFile(target)
-        try:
-            out = McapFile(new.place, header=b"")
-            report = _Assembly(file, out, topics, stretches, unproved=unproved).run(progress)
-            if new.regular:
-                report = read_again(new.place, report)
-            new.keep()
-        except CaptureError as error:
-            text = str(error).partition("; `edoras")[0].replace(str(new.place), str(target))
-            raise CaptureError(text) from error
-        except OSError as error:
-            raise CaptureError(f"{target}: cannot be written: {error.strerror or error}") from error
-        finally:
-            new.remove()
-    return report
+
+    def __init__(self, path: Path, topics: KnownTopics, unproved: bool) -> None:
+        self._path, self._topics, self._unproved = path, topics, unproved
+        self._stretches: Sequence[Stretch] = ()
+        """What a further reading needs."""
+
+    def report(self, progress: Callable[[int, int], None]) -> Recovery:
+        """Read the whole file, and check every checksum; a second time, if that may find more.
+
+        Raises:
+            CaptureError: the file cannot be read, is not MCAP, or has no message that could be kept.
+        """
+        with FileBytes(self._path) as file:
+            first = self._assembly(file, None)
+            report = first.run(progress)
+            if first.doubtful and any(item.proved or item.fits for item in first.stretches):
+                self._stretches = first.stretches
+                report = self._assembly(file, None).run(progress)
+            if not report.whole and not sum(report.messages.values()):
+                damaged = any(loss.messages for loss in report.losses) or report.left_out
+                if not damaged and file.read(0, len(MAGIC)) != MAGIC:
+                    raise CaptureError(
+                        f"{file.path}: is not an MCAP file, or one without any complete record"
+                    )
+                why = f": {report.losses[0].reason}" if report.losses else ""
+                raise CaptureError(f"{file.path}: it contains nothing to recover{why}")
+        return report
+
+    def write(self, new: NewFile, progress: Callable[[int, int], None]) -> Recovery:
+        """Read the whole file again, write what can be kept, and check the result by reading it."""
+        with FileBytes(self._path) as file:
+            report = self._assembly(file, McapFile(new.place, header=b"")).run(progress)
+        return read_again(new.place, report) if new.regular else report
+
+    def _assembly(self, file: FileBytes, out: McapFile | None) -> _Assembly:
+        return _Assembly(file, out, self._topics, self._stretches, unproved=self._unproved)
 
 
 def read_again(path: Path, report: Recovery) -> Recovery:
@@ -218,7 +178,7 @@ class _Assembly:
         file: FileBytes,
         out: McapFile | None,
         topics: KnownTopics,
-        stretches: Sequence[Stretch] = (),
+        stretches: Sequence[Stretch],
         *,
         unproved: bool,
     ) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 import struct
 import time
+from pathlib import Path
 from zlib import crc32
 
 import damage
@@ -19,9 +20,9 @@ from mcap.writer import CompressionType, Writer
 from edoras_tools.errors import CaptureError, ConfigError
 from edoras_tools.io.formats.mcap import chunks as mcap_chunks
 from edoras_tools.io.formats.mcap.file import record_bytes
-from edoras_tools.io.formats.mcap.recover import recover, verify
 from edoras_tools.io.formats.mcap.recovery.records import KnownTopics
 from edoras_tools.io.formats.mcap.writer import McapSink
+from edoras_tools.io.formats.recover import repair
 from edoras_tools.io.topics.messages import MAGIC
 from edoras_tools.io.topics.streams import OWN_TOPICS
 from edoras_tools.model import SourceStatistics
@@ -90,7 +91,7 @@ def test_whatever_byte_it_was_cut_at(tmp_path_factory, recording, share):
     cut = folder / "cut.mcap"
     cut.write_bytes(raw[: int(share * (len(raw) - 1))])
     try:
-        report = recover(cut, folder / "made.mcap")
+        report = repair(cut, folder / "made.mcap")
     except CaptureError as error:
         assert share < 0.2
         assert "nothing to recover" in str(error) or "not an MCAP" in str(error)  # noqa: PT017  either will do
@@ -106,7 +107,7 @@ def test_whatever_byte_it_was_cut_at(tmp_path_factory, recording, share):
     assert not report.whole
     assert report.proved == len(found)
     assert report.lost or len(found) == len(whole)
-    assert recover(folder / "made.mcap", folder / "again.mcap").whole
+    assert repair(folder / "made.mcap", folder / "again.mcap").whole
 
 
 def test_everything_but_the_last_chunk_is_kept_byte_for_byte(tmp_path, recording):
@@ -115,7 +116,7 @@ def test_everything_but_the_last_chunk_is_kept_byte_for_byte(tmp_path, recording
     with recording.open("rb") as file:
         chunk = make_reader(file).get_summary().chunk_indexes[2]
     cut.write_bytes(raw[: chunk.chunk_start_offset + 60])
-    report = recover(cut, made)
+    report = repair(cut, made)
     assert made.read_bytes()[: chunk.chunk_start_offset] == raw[: chunk.chunk_start_offset]
     assert (report.salvaged, report.lost_bytes, report.chunks, report.lost) == (0, 60, 2, True)
     assert report.lost_messages is None
@@ -134,12 +135,12 @@ def test_of_a_cut_chunk_is_kept_what_is_asked_for(tmp_path, types, capture, monk
     with whole.open("rb") as file:
         _, second = make_reader(file).get_summary().chunk_indexes[:2]
     cut.write_bytes(whole.read_bytes()[: second.chunk_start_offset + second.chunk_length * 3 // 4])
-    report = recover(cut, made)
+    report = repair(cut, made)
     assert report.salvaged == 0
     assert report.left_out > 200
     kept = everything(made)[0]
     assert everything(whole)[0][: len(kept)] == kept
-    asked = recover(cut, made, unproved=True)
+    asked = repair(cut, made, unproved=True)
     assert (asked.salvaged, asked.unproved, asked.left_out) == (report.left_out, report.left_out, 0)
     assert everything(made)[0] == everything(whole)[0][: len(kept) + report.left_out]
     assert report.lost
@@ -149,7 +150,7 @@ def test_of_a_cut_chunk_is_kept_what_is_asked_for(tmp_path, types, capture, monk
 def test_the_metadata_of_a_recording_is_made_whole(tmp_path, recording):
     cut, made = tmp_path / "cut.mcap", tmp_path / "made.mcap"
     cut.write_bytes(recording.read_bytes()[:-2000])
-    recover(cut, made)
+    repair(cut, made)
     with made.open("rb") as file:
         reader = make_reader(file)
         metadata = {item.name: item.metadata for item in reader.iter_metadata()}
@@ -166,7 +167,7 @@ def test_any_mcap(tmp_path, foreign, compression, chunked, share):
     raw, (whole, _) = path.read_bytes(), everything(path)
     cut, made = tmp_path / "cut.mcap", tmp_path / "made.mcap"
     cut.write_bytes(raw[: int(len(raw) * share)])
-    report = recover(cut, made)
+    report = repair(cut, made)
     found, _ = everything(made)
     assert found == whole[: len(found)]
     assert sum(report.messages.values()) == len(found) > 0
@@ -181,7 +182,7 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path, recording):
     raw[middle : middle + 50] = bytes(50)
     cut, made = tmp_path / "cut.mcap", tmp_path / "made.mcap"
     cut.write_bytes(raw[:-100])
-    report = recover(cut, made)
+    report = repair(cut, made)
     found, _ = everything(made)
     assert report.lost_bytes == chunk.chunk_length + chunk.message_index_length
     assert report.lost_messages is None
@@ -191,7 +192,7 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path, recording):
 
 
 def test_a_whole_file_is_left_alone(tmp_path, recording):
-    report = recover(recording, tmp_path / "made.mcap")
+    report = repair(recording, tmp_path / "made.mcap")
     assert report.whole
     assert report.text(written=True).startswith("intact: ")
     assert (report.unproved, report.lost) == (0, False)
@@ -208,23 +209,23 @@ def test_what_cannot_be_recovered(tmp_path, recording):
     ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(CaptureError, match=message):
-            recover(tmp_path / name, tmp_path / "made.mcap")
+            repair(tmp_path / name, tmp_path / "made.mcap")
         assert not (tmp_path / "made.mcap").exists()
     with pytest.raises(CaptureError, match="there is no such file; check the name"):
-        recover(tmp_path / "missing", tmp_path / "made.mcap")
-    with pytest.raises(CaptureError, match="cannot be read: Is a directory"):
-        recover(tmp_path, tmp_path / "made.mcap")
+        repair(tmp_path / "missing", tmp_path / "made.mcap")
+    with pytest.raises(CaptureError, match="cannot be opened: Is a directory"):
+        repair(tmp_path, tmp_path / "made.mcap")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(recording.read_bytes()[:-1000])
     with pytest.raises(ConfigError, match="name another file"):
-        recover(cut, cut)
+        repair(cut, cut)
     with pytest.raises(CaptureError, match=r"no/made\.mcap: cannot be written"):
-        recover(cut, tmp_path / "no" / "made.mcap")
-    for full in ("/dev/full", tmp_path / "full"):
-        before = (tmp_path / "full").symlink_to("/dev/full") if full != "/dev/full" else None
+        repair(cut, tmp_path / "no" / "made.mcap")
+    for full in (Path("/dev/full"), tmp_path / "full"):
+        before = (tmp_path / "full").symlink_to("/dev/full") if full != Path("/dev/full") else None
         assert before is None
         with pytest.raises(CaptureError, match=f"^{full}: cannot be written: No space left on device; name "):
-            recover(cut, full)
+            repair(cut, full)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
         ["cut.mcap", "empty", "full", "header", "magic", "text"]
     )
@@ -240,7 +241,7 @@ def test_damage_anywhere_raises_nothing_else(tmp_path_factory, recording, damage
     folder = tmp_path_factory.mktemp("damaged")
     (folder / "bad.mcap").write_bytes(raw[: len(raw) - 10])
     try:
-        recover(folder / "bad.mcap", folder / "made.mcap")
+        repair(folder / "bad.mcap", folder / "made.mcap")
     except CaptureError as error:
         assert "\n" not in str(error)  # noqa: PT017  it may also succeed
 
@@ -288,7 +289,7 @@ def test_damage_inside_is_never_called_whole(tmp_path, recording, way):
             source.write_bytes(data)
             if found == way and data != raw:
                 try:
-                    assert not verify(source).whole
+                    assert not repair(source, None).whole
                 except CaptureError as error:
                     assert "nothing to recover" in str(error) or "not an MCAP" in str(error)  # noqa: PT017
 
@@ -300,7 +301,7 @@ def test_a_message_index_that_lost_bytes_hides_no_chunk(tmp_path, recording, mis
     chunk = everything(recording)[1].chunk_indexes[2]
     end = chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
     source.write_bytes(raw[: end - missing] + raw[end:])
-    report = recover(source, made)
+    report = repair(source, made)
     assert (report.whole, report.lost_messages) == (False, 0)
     assert messages(made.read_bytes()) == messages(raw)
 
@@ -311,7 +312,7 @@ def test_files_one_after_the_other(tmp_path, wholes, foreign):
     source, made = tmp_path / "joined.mcap", tmp_path / "made.mcap"
     files = [wholes[0], foreign().read_bytes(), wholes[1]]
     source.write_bytes(b"".join(files))
-    report = recover(source, made)
+    report = repair(source, made)
     assert (report.whole, report.lost, report.lost_messages, report.lost_bytes) == (False, False, 0, 0)
     expected = sum((messages(data) for data in files), start=messages(files[0]) - messages(files[0]))
     assert messages(made.read_bytes()) == expected
@@ -327,7 +328,7 @@ def test_a_file_that_was_truncated_while_it_was_written(tmp_path, recording, end
     raw[: chunk.chunk_start_offset + 20] = bytes(chunk.chunk_start_offset + 20)
     source, made = tmp_path / "hole.mcap", tmp_path / "made.mcap"
     source.write_bytes(raw if ended else raw[:-3000])
-    report = recover(source, made)
+    report = repair(source, made)
     found, _ = everything(made)
     assert "zeros" in str(report.losses[0])
     # The chunk's own head is gone, but not its frame, which proves itself.
@@ -353,7 +354,7 @@ def test_a_beginning_of_zeros_costs_what_was_in_it(tmp_path, wholes, size, ended
     data = bytes(size) + raw[size : len(raw) if ended else len(raw) * 9 // 10]
     source, made = tmp_path / "bad.mcap", tmp_path / "made.mcap"
     source.write_bytes(data)
-    report = recover(source, made)
+    report = repair(source, made)
     kept = messages(made.read_bytes())
     assert damage.without_topics(kept) == damage.plain_scan(data)
     assert ended or report.lost
@@ -368,12 +369,12 @@ def test_what_describes_a_recording_of_ours_can_be_given(tmp_path, wholes, types
     at = [match.start() for match in re.finditer(rb"\x06.{7}\0.{28}\x04\0\0\0zstd", raw, re.DOTALL)]
     source, made = tmp_path / "bad.mcap", tmp_path / "made.mcap"
     source.write_bytes(bytes(at[2]) + raw[at[2] : at[4]])
-    report = recover(source, made)
+    report = repair(source, made)
     assert {topic for topic in report.messages if not topic.startswith("/unknown/")} == {
         topic.name for topic in OWN_TOPICS
     } & {*report.messages}
     assert "/edoras/datagrams" in report.messages
-    known = recover(
+    known = repair(
         source, tmp_path / "known.mcap", topics=KnownTopics(capture("a_rover", "rover_ground").mission, types)
     )
     kept = messages((tmp_path / "known.mcap").read_bytes())
@@ -389,13 +390,13 @@ def test_one_wrong_bit_in_the_first_chunk_costs_names_only(tmp_path, foreign):
     raw[raw.index(b"\x28\xb5\x2f\xfd") + 60] ^= 4
     source, made = tmp_path / "bad.mcap", tmp_path / "made.mcap"
     source.write_bytes(raw)
-    report = recover(source, made)
+    report = repair(source, made)
     kept = messages(made.read_bytes())
     assert damage.without_topics(kept) == damage.plain_scan(raw) != {}
     assert {*report.messages} == {"/unknown/1", "/unknown/2"}
     assert report.lost
     source.write_bytes(foreign(CompressionType.NONE).read_bytes()[:-3000].replace(b"\0\0\0x", b"\0\0\0y", 1))
-    assert {*recover(source, made, unproved=True).messages} == {"/chatter_0", "/chatter_1"}
+    assert {*repair(source, made, unproved=True).messages} == {"/chatter_0", "/chatter_1"}
 
 
 @pytest.mark.parametrize("opcodes", [b"\x05", b"\x06", b"\x0f", bytes(range(3, 16)) + b"\x80", b"\x80"])
@@ -407,7 +408,7 @@ def test_a_flood_of_empty_records_is_one_place(tmp_path, foreign, opcodes):
     source, made = tmp_path / "bad.mcap", tmp_path / "made.mcap"
     source.write_bytes(raw[:at] + flood + raw[at:])
     began = time.process_time()
-    report = recover(source, made)
+    report = repair(source, made)
     assert time.process_time() - began < 2
     assert sum(report.messages.values()) == len(everything(made)[0]) == 200
     assert (len(report.losses), report.lost_bytes) == ((0, 0) if opcodes == b"\x80" else (1, len(flood)))
@@ -421,7 +422,7 @@ def test_a_length_that_covers_other_messages_is_refused(tmp_path, foreign, bit):
     raw[at[20] + 1 + bit // 8] ^= 1 << bit % 8
     source, made = tmp_path / "bad.mcap", tmp_path / "made.mcap"
     source.write_bytes(raw)
-    report = recover(source, made)
+    report = repair(source, made)
     assert (sum(report.messages.values()), report.lost_messages, report.lost_bytes) == (199, 1, 95)
     assert len(everything(made)[0]) == 199
 
@@ -432,8 +433,8 @@ def test_a_wrong_checksum_in_the_head_of_a_sound_chunk_is_not_kept(tmp_path, rec
     raw[summary.chunk_indexes[1].chunk_start_offset + 9 + 24] ^= 4
     source, made = tmp_path / "bad.mcap", tmp_path / "made.mcap"
     source.write_bytes(raw)
-    report = recover(source, made)
-    assert verify(source) == report
+    report = repair(source, made)
+    assert repair(source, None) == report
     assert (report.lost, "the head of a chunk is damaged" in report.reasons) == (False, True)
     assert everything(made)[0] == everything(recording)[0]
 
@@ -445,7 +446,7 @@ def test_messages_beside_chunks_are_put_into_one(tmp_path, foreign):
     place = raw.index(b"\x0f\x04\0\0\0\0\0\0\0")
     source, made = tmp_path / "both.mcap", tmp_path / "made.mcap"
     source.write_bytes(raw[:place] + loose[first : first + 100 * 95] + raw[place:])
-    report = recover(source, made)
+    report = repair(source, made)
     assert (sum(report.messages.values()), report.unproved) == (300, 100)
     assert "messages stand beside its chunks, where no index leads" in report.reasons
     assert len(everything(made)[0]) == 300
@@ -467,7 +468,7 @@ def test_a_channel_that_stands_behind_its_messages_is_written_before_them(tmp_pa
         source, made = tmp_path / "late.mcap", tmp_path / "made.mcap"
         before = record_bytes(*(item for item in [schema] if item not in inside))
         source.write_bytes(MAGIC + record_bytes(Header("ros2", "x")) + before + chunk)
-        report = recover(source, made)
+        report = repair(source, made)
         assert chunk in made.read_bytes()
         with made.open("rb") as file:
             found = [channel.topic for _, channel, _ in NonSeekingReader(file).iter_messages()]
@@ -485,13 +486,13 @@ def test_other_writers_are_told_what_proves_their_messages(tmp_path, compression
         for index in range(200):
             writer.add_message(channel, index, b"%060d" % index, index)
         writer.finish()
-    report = recover(path, made)
+    report = repair(path, made)
     assert report.whole
     assert (report.proved, report.unproved) == ((200, 0) if crc else (0, 200))
     assert ("200 of them have no checksum" in report.text(written=True)) == (not crc)
     raw = path.read_bytes()
     path.write_bytes(raw[: len(raw) // 2])
-    found = recover(path, made)
+    found = repair(path, made)
     assert (found.unproved > 0) != crc
     assert set(everything(made)[0]) < {("/chatter", index, b"%060d" % index) for index in range(200)}
 
@@ -510,7 +511,7 @@ def test_a_recording_inside_a_recording_is_not_taken_for_a_part_of_it(tmp_path, 
     raw = path.read_bytes()
     place = raw.index(b"inner.mcap")
     path.write_bytes(raw[: place - 20] + bytes(40) + raw[place + 20 :])
-    report = recover(path, made)
+    report = repair(path, made)
     assert [topic for topic, _, _ in everything(made)[0]] == ["/chatter"] * len(everything(made)[0])
     assert report.lost
     assert "its record inner.mcap is lost" in report.reasons

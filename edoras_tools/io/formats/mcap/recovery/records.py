@@ -23,7 +23,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from edoras_tools.errors import CaptureError, RouteError
+from edoras_tools.errors import RouteError, os_errors
 from edoras_tools.io.formats.mcap import file
 from edoras_tools.io.topics.messages import OPCODE_MESSAGE, RECORD, RECORD_BYTES
 from edoras_tools.io.topics.streams import Streams
@@ -247,10 +247,8 @@ class FileBytes(AbstractContextManager["FileBytes"]):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
+        with os_errors(f"{path}: cannot be read"):
             self._file = path.open("rb")
-        except OSError as error:
-            raise self._failure(error) from error
         self._number = self._file.fileno()
         self.size = os.fstat(self._number).st_size
 
@@ -261,12 +259,10 @@ class FileBytes(AbstractContextManager["FileBytes"]):
         """Return the bytes from ``start`` up to ``end``; fewer at the end of the file."""
         end = min(end, self.size)
         pieces = []
-        try:
+        with os_errors(f"{self.path}: cannot be read"):
             while start < end and (piece := os.pread(self._number, end - start, start)):
                 pieces.append(piece)
                 start += len(piece)
-        except OSError as error:
-            raise self._failure(error) from error
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
     def prefix(self, place: int) -> tuple[int, int, int] | None:
@@ -295,15 +291,6 @@ class FileBytes(AbstractContextManager["FileBytes"]):
         for first in range(start, end, _WINDOW):
             value = crc32(self.read(first, min(first + _WINDOW, end)), value)
         return value
-
-    def _failure(self, error: OSError) -> CaptureError:
-        missing = isinstance(error, FileNotFoundError)
-        why = (
-            "there is no such file; check the name"
-            if missing
-            else f"cannot be read: {error.strerror or error}"
-        )
-        return CaptureError(f"{self.path}: {why}")
 
 
 RecordId = tuple[type, int]
