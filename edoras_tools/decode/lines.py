@@ -141,10 +141,9 @@ class MessageRows(NamedTuple):
 def read_whole(rows: ColumnRows) -> Mask:
     """Return which rows hold a packet, or a recorded message, that is decoded to its end."""
     if rows.batch.recorded is not None:
-        read: Mask = rows.column("cdr_length") > 0
-        read &= (rows.column("findings") & np.uint32(_ENDING)) == 0
-        return read
-    whole: Mask = (rows.column("packet_offset") >= 0) & (rows.column("header_length") > 0)
+        whole: Mask = rows.column("cdr_length") > 0
+    else:
+        whole = (rows.column("packet_offset") >= 0) & (rows.column("header_length") > 0)
     whole &= (rows.column("findings") & np.uint32(_ENDING)) == 0
     return whole
 
@@ -198,11 +197,11 @@ class PacketLine(msgspec.Struct, frozen=True):
         link: link of the packet.
         source: endpoint that sent it.
         destination: endpoint that it was sent to.
+        length: captured bytes of the UDP payload.
+        findings: findings of the decoder.
         kind: ``cmd``, ``tlm``, an SBN message type such as ``SUB`` or ``APP``, or empty.
         msg_id: MsgId of the space packet; ``NO_MSG_ID`` if there is none.
         name: topic, else the name of the MsgId, else empty.
-        length: captured bytes of the UDP payload.
-        findings: findings of the decoder.
         text: summary, or the reason why decoding ended.
         type: type of a message without a datagram; empty for packets.
     """
@@ -212,17 +211,17 @@ class PacketLine(msgspec.Struct, frozen=True):
     link: Link
     source: Endpoint
     destination: Endpoint
+    length: int
+    findings: Finding
     kind: str
     msg_id: int
     name: str
-    length: int
-    findings: Finding
     text: str
     type: str = ""
 
 
-class _Content(msgspec.Struct, frozen=True):
-    """The part of a line that describes a packet's content; see ``PacketLine``."""
+class _Content(NamedTuple):
+    """The end of a line, which describes a packet's content; see ``PacketLine``."""
 
     kind: str
     msg_id: int
@@ -233,20 +232,10 @@ class _Content(msgspec.Struct, frozen=True):
 
 def line_of(decoded: Decoded) -> PacketLine:
     """Return the line of a packet."""
-    datagram, content = decoded.datagram, _content(decoded)
+    of, content = decoded.datagram, _content(decoded)
+    length, findings = len(of.payload), decoded.findings
     return PacketLine(
-        datagram.number,
-        datagram.time_ns,
-        decoded.link,
-        datagram.source,
-        datagram.destination,
-        content.kind,
-        content.msg_id,
-        content.name,
-        len(datagram.payload),
-        decoded.findings,
-        content.text,
-        content.type,
+        of.number, of.time_ns, decoded.link, of.source, of.destination, length, findings, *content
     )
 
 
@@ -276,21 +265,8 @@ class PacketLines:
             strict=True,
         )
         for number, time_ns, code, pair, length, findings, content in columns:
-            source, destination = pairs[pair]
-            yield PacketLine(
-                number,
-                time_ns,
-                links[code],
-                source,
-                destination,
-                content.kind,
-                content.msg_id,
-                content.name,
-                length,
-                flags[findings],
-                content.text,
-                content.type,
-            )
+            link, (source, destination) = links[code], pairs[pair]
+            yield PacketLine(number, time_ns, link, source, destination, length, flags[findings], *content)
 
 
 def _content(decoded: Decoded) -> _Content:

@@ -109,11 +109,10 @@ class PacketTexts:
 
     def of(self, rows: ColumnRows) -> list[str]:
         """Return the text of each row, in order: ``as_json`` without spaces, starting behind ``schema``."""
-        if rows.batch.recorded is not None:
-            return self._of_messages(rows)
-        links = {code: _text(link.label) for code, link in links_of(rows).items()}
+        recorded = rows.batch.recorded is not None
+        links = {code: "null" if recorded else _text(link.label) for code, link in links_of(rows).items()}
         pairs, which = endpoints(rows)
-        names = [(_text(str(source)), _text(str(destination))) for source, destination in pairs]
+        names = [["null" if recorded else _text(str(end)) for end in pair] for pair in pairs]
         heads = zip(
             rows.datagram("number").tolist(),
             rows.datagram("time_ns").tolist(),
@@ -127,21 +126,6 @@ class PacketTexts:
             f'{{"schema":1,"number":{number},"time_ns":{time_ns},"link":{link},"source":{source},'
             f'"destination":{destination},"length":{length},{tail}'
             for number, time_ns, link, (source, destination), length, tail in heads
-        ]
-
-    def _of_messages(self, rows: ColumnRows) -> list[str]:
-        """Return the text of each message of a recording without datagrams."""
-        heads = zip(
-            rows.datagram("number").tolist(),
-            rows.datagram("time_ns").tolist(),
-            rows.datagram("length").tolist(),
-            self._contents.of(rows),
-            strict=True,
-        )
-        return [
-            f'{{"schema":1,"number":{number},"time_ns":{time_ns},"link":null,"source":null,'
-            f'"destination":null,"length":{length},{tail}'
-            for number, time_ns, length, tail in heads
         ]
 
 
