@@ -424,20 +424,14 @@ class _Reader:
 
     def _measures(self, kind: shapes.Basic | str) -> tuple[int, int]:
         basic = self._basic(kind)
-        return (
-            (basic.size, basic.size)
-            if basic
-            else (self._structs[str(kind)].size, self._alignments[str(kind)])
-        )
+        if basic is not None:
+            return basic.size, basic.size
+        return self._structs[str(kind)].size, self._alignments[str(kind)]
 
     def _basic(self, kind: shapes.Basic | str) -> shapes.Basic | None:
-        return (
-            kind
-            if isinstance(kind, shapes.Basic)
-            else self._enums[kind].basic
-            if kind in self._enums
-            else None
-        )
+        if isinstance(kind, shapes.Basic):
+            return kind
+        return self._enums[kind].basic if kind in self._enums else None
 
 
 _SHORT: Final = reprlib.Repr()

@@ -18,15 +18,14 @@ from itertools import pairwise
 from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
-import zstandard
 from mcap.opcode import Opcode
 from msgspec.structs import replace
 
 from edoras_tools.errors import CaptureError, ConfigError, os_errors
 from edoras_tools.io.formats.capture_file import Window
 from edoras_tools.io.formats.mcap.chunks import CHUNK_BYTES
-from edoras_tools.io.formats.mcap.file import MESSAGE_HEAD, RECORD_HEAD, McapFile, pack_chunks
-from edoras_tools.io.formats.mcap.recover import Recording, read_again
+from edoras_tools.io.formats.mcap.file import MESSAGE_HEAD, RECORD_HEAD, McapFile
+from edoras_tools.io.formats.mcap.recover import Recording, add_chunk, read_again
 from edoras_tools.io.formats.mcap.recovery.records import FileBytes, KnownTopics, walk
 from edoras_tools.io.formats.mcap.recovery.report import LostStretch, Recovery
 from edoras_tools.io.formats.open import unwrapped
@@ -184,20 +183,30 @@ class _Capture:
         )
         if failure is not None and not losses:
             reasons.append(str(failure).removeprefix(f"{self._path}: "))
-        count, lost = source.statistics.frames, sum(item.bytes for item in losses)
-        whole = not losses and not reasons
-        return Recovery(
-            whole=whole,
-            messages={"packets": count},
-            kept_bytes=size - lost,
-            lost_bytes=lost,
-            unproved=count,
-            lost=not whole,
-            lost_messages=0 if whole else None,
-            losses=losses,
-            reasons=reasons,
-            unit="packets",
-        )
+        return _report({"packets": source.statistics.frames}, size, losses, reasons, "packets")
+
+
+def _report(
+    messages: dict[str, int],
+    size: int,
+    losses: list[LostStretch],
+    reasons: list[str],
+    unit: str = "messages",
+) -> Recovery:
+    """Return the report on a file of ``size`` bytes without checksums; whole if nothing is wrong with it."""
+    whole, lost = not losses and not reasons, sum(item.bytes for item in losses)
+    return Recovery(
+        whole=whole,
+        messages=messages,
+        kept_bytes=size - lost,
+        lost_bytes=lost,
+        unproved=sum(messages.values()),
+        lost=not whole,
+        lost_messages=0 if whole else None,
+        losses=losses,
+        reasons=reasons,
+        unit=unit,
+    )
 
 
 class _Database:
@@ -241,20 +250,9 @@ class _Database:
             for before, after in pairwise(rows)
             if after[0] > before[0] + 1
         ]
-        lost = sum(item.bytes for item in losses)
         counts = Counter(self._name(topic) for topic in rows[:, 3].tolist())
-        reasons = [] if whole else ["SQLite finds it damaged, or it ends too early: what followed is unknown"]
-        self._report = Recovery(
-            whole=whole,
-            messages=dict(counts),
-            kept_bytes=size - lost,
-            lost_bytes=lost,
-            unproved=len(rows),
-            lost=not whole,
-            lost_messages=0 if whole else None,
-            losses=[] if whole else losses,
-            reasons=reasons,
-        )
+        reasons = ["SQLite finds it damaged, or it ends too early: what followed is unknown"]
+        self._report = _report(dict(counts), size, *(([], []) if whole else (losses, reasons)))
         return self._report
 
     def _name(self, topic: int) -> str:
@@ -276,9 +274,10 @@ class _Database:
                             head = MESSAGE_HEAD.pack(channels[topic], 0, time_ns, time_ns)
                             chunks += RECORD_HEAD.pack(Opcode.MESSAGE, len(head) + len(data)) + head + data
                 if len(chunks) >= CHUNK_BYTES:
-                    _put(out, chunks)
+                    add_chunk(out, walk(bytes(chunks)), proved=False)
                     chunks = bytearray()
-        _put(out, chunks)
+        if chunks:
+            add_chunk(out, walk(bytes(chunks)), proved=False)
         out.finish()
         report = replace(self._report, chunks=out.summary.chunks)
         return read_again(new.place, report) if new.regular else report
@@ -288,14 +287,6 @@ class _Database:
         text = self._texts.get(kind) or ("ros2msg", self._known.definition(kind))
         schema = out.add_schema(kind, text[1], text[0]) if kind else 0
         return out.add_channel(name, schema, {"offered_qos_profiles": qos}, encoding)
-
-
-def _put(out: McapFile, records: bytearray) -> None:
-    if records:
-        walked = walk(bytes(records))
-        raw = walked.data.data
-        packed = zstandard.ZstdCompressor(write_checksum=False).compress(raw)
-        out.add_chunks(pack_chunks(raw, [packed], walked.index(), proved=False))
 
 
 def _page_size(file: FileBytes) -> int:

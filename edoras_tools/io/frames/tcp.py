@@ -212,21 +212,13 @@ class StreamReassembler:
         ends = np.cumsum(np.bincount(which, minlength=len(first)))[:-1]
         for members in np.split(order, ends) if len(first) else ():
             row = int(members[0])
-            version = int(ip.version[row])
-            source, target = (
-                ip.addresses[int(column[row])] if version == 6 else int(column[row])
-                for column in (ip.source, ip.destination)
-            )
-            yield (
-                (
-                    version,
-                    source,
-                    int(segments.source_port[row]),
-                    target,
-                    int(segments.destination_port[row]),
-                ),
-                members,
-            )
+            key = [int(ip.version[row])]
+            for address, port in (
+                (ip.source, segments.source_port),
+                (ip.destination, segments.destination_port),
+            ):
+                key += [ip.addresses[address[row]] if key[0] == 6 else int(address[row]), int(port[row])]
+            yield tuple(key), members
 
     def _direction(self, key: tuple[Any, ...]) -> _Direction:
         way = self._directions.get(key)

@@ -440,11 +440,7 @@ class UdpWire(HostClock):
         super().__init__([*(item.fileno() for _, item in self._sockets), *watched])
         self._latest: tuple[Outgoing, int] | None = None
         self.ends = transmitter.local, transmitter.target
-
-    @property
-    def statistics(self) -> SendStatistics:
-        """The counters of sent datagrams."""
-        return self._transmitter.statistics
+        self.statistics, self.put = transmitter.statistics, transmitter.send
 
     def wait(self, until_ns: int) -> bool:
         """Sleep until just before a time, then rehearse and spin; return early when something arrives."""
@@ -463,10 +459,6 @@ class UdpWire(HostClock):
             self._latest = out, first
             return self._transmitter.send(_one(out, first))
         return self._transmitter.send_many(out.data, out.offset[first:last], out.length[first:last])
-
-    def put(self, payload: bytes) -> bool:
-        """Send one datagram of the caller's own; return whether it was sent."""
-        return self._transmitter.send(payload)
 
     def receive(self) -> list[Arrival]:
         """Return the datagrams that have arrived."""

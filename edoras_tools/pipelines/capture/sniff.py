@@ -82,11 +82,7 @@ def texts_of(field: FilterField, series: Series, clean: Callable[[str], str] = s
     names = field.names
     if field.base == 16:
         return [names.get(value) or f"0x{value:0{field.digits}x}" for value in values.tolist()]
-    return (
-        [names.get(value) or str(value) for value in values.tolist()]
-        if names
-        else list(map(str, values.tolist()))
-    )
+    return [names.get(value) or str(value) for value in values.tolist()]
 
 
 def _seconds(time_ns: int) -> str:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from edoras_tools import doors
 from edoras_tools.errors import ConfigError, RouteError
@@ -427,9 +428,7 @@ def read(
         raise ConfigError(f"time={time!r} is not a time format; use {', '.join(TimeForm)}")
     configured = settings or Settings()
     if configs := _paths(config):
-        configured = Settings(
-            configs, configured.distro, configured.msg_paths, configured.options, configured.structs
-        )
+        configured = replace(configured, configs=configs)
     scope = Scope(Selection(where=where), Period(int(start * 1e9), int(end * 1e9)))
     form = TableForm(explode=explode, time=TimeForm(time))
     tables = RecordingTables(_paths(paths), configured, scope, form)

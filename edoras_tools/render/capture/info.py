@@ -266,9 +266,7 @@ def findings(counts: Mapping[str, int], datagrams: int, *, meaning: bool = True)
 STATISTICS: Final = ("routes", "sbn", "sizes", "findings")
 
 _SIZES: Final = (
-    Column("Link", link_text, justify="left"),
-    Column("MsgId", msg_id_text, justify="left"),
-    Column("Topic", route_text, justify="left", elastic=True),
+    *_COLUMNS[:3],
     _CPU,
     Column("Count", lambda row: Text(words.count(row["count"]), palette.STRONG)),
     Column("Least, B", lambda row: Text(words.count(row["bytes_min"]))),
@@ -352,9 +350,7 @@ def _totals(moment: Moment, rates: Mapping[object, float]) -> Text:
 
 
 _LIVE_COLUMNS: Final = (
-    Column("Link", link_text, justify="left"),
-    Column("MsgId", msg_id_text, justify="left"),
-    Column("Topic", route_text, justify="left", elastic=True),
+    *_COLUMNS[:3],
     Column("CPU", lambda row: plain(row.get("processor_id") or ""), rank=2),
     Column("Count", lambda row: Text(words.count(row.get("count")), palette.STRONG)),
     Column("Mean", lambda row: Text(words.rate(row.get("rate_hz") or None), palette.DIM), rank=3),

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Container, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -166,6 +167,13 @@ def read_again(path: Path, report: Recovery) -> Recovery:
     return replace(report, lost=True, reasons=[*report.reasons, f"of the result: {refusal}"])
 
 
+def add_chunk(out: McapFile, walked: Walked, *, proved: bool) -> None:
+    """Write records as a chunk; with a checksum if they are ``proved``."""
+    raw = walked.data.data
+    packed = zstandard.ZstdCompressor(write_checksum=proved).compress(raw)
+    out.add_chunks(pack_chunks(raw, [packed], walked.index(), proved=proved))
+
+
 class _Assembly:
     """Assembles the pieces of a scan into a file; if ``out`` is None, it only counts them.
 
@@ -221,13 +229,12 @@ class _Assembly:
                 self._out.add_metadata(METADATA_NAME, {**opening, "recovered": "true"})
             self._out.finish()
         missing = [part.missing for part in self._parts]
-        messages: dict[str, int] = {}
+        messages = Counter[str]()
         for number, count in self._counts.items():
-            topic = self._numbering.topics[number]
-            messages[topic] = messages.get(topic, 0) + count
+            messages[self._numbering.topics[number]] += count
         return Recovery(
             whole=whole,
-            messages=messages,
+            messages=dict(messages),
             chunks=self._pieces if whole else self._chunks,
             salvaged=self._salvaged,
             kept_bytes=self._file.size - self._lost_bytes,
@@ -259,13 +266,10 @@ class _Assembly:
         definitions = (section.schemas, section.channels) if section else ({}, {})
         part = FilePart(Definitions(*definitions), section, start)
         self._parts.append(part)
-        self._next_stretch()
+        self.stretches.append(Stretch())
         if section is not None:
             self._of[section] = part
         return part
-
-    def _next_stretch(self) -> None:
-        self.stretches.append(Stretch())
 
     @property
     def _stretch(self) -> Stretch:
@@ -304,7 +308,7 @@ class _Assembly:
         if part.ended:  # its summary, which is built new
             self._reasons["its summary is damaged or cut off"] = None
             return
-        self._next_stretch()
+        self.stretches.append(Stretch())
         size = piece.end - piece.start
         part.gaps = True
         part.gap_bytes += size
@@ -417,7 +421,8 @@ class _Assembly:
         ids = np.unique(walked.channel).tolist()
         self._learn(part, definitions, walked, proved=piece is not None and piece.proof is Proof.CHECKSUM)
         channels = {key: definition for key in ids if (definition := self._definition(part, key)) is not None}
-        numbers = {key: self._numbering.number(*definition) for key, definition in channels.items()}
+        number = partial(self._numbering.channel, write=False)
+        numbers = {key: number(*definition) for key, definition in channels.items()}
         stands = (
             piece is not None
             and piece.record_end > 0
@@ -474,15 +479,11 @@ class _Assembly:
         )
 
     def _write(self, out: McapFile, walked: Walked, piece: Piece | None, *, stands: bool) -> None:
-        messages = walked.index()
         if stands and piece is not None and piece.head is not None:
             stretch = self._file.read(piece.start, piece.record_end)
-            out.add_chunks(join_chunks([(stretch,)], [piece.head], messages))
+            out.add_chunks(join_chunks([(stretch,)], [piece.head], walked.index()))
         else:
-            raw = walked.data.data
-            proved = piece is not None and piece.proof is Proof.CHECKSUM
-            packed = zstandard.ZstdCompressor(write_checksum=proved).compress(raw)
-            out.add_chunks(pack_chunks(raw, [packed], messages, proved=proved))
+            add_chunk(out, walked, proved=piece is not None and piece.proof is Proof.CHECKSUM)
 
     def _record(self, piece: Piece) -> None:
         part, record = self._part(piece.start), piece.record

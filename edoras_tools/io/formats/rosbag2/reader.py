@@ -491,9 +491,7 @@ class _Mcap(TopicFile):
             if isinstance(record, SelectedMessages):
                 self.position += len(record.data)
                 described = np.isin(record.channel_id, list(self.topics))
-                ready, _ = _released([record.take(np.isin(record.channel_id, list(selection)))], None)
-                if ready is not None:
-                    yield ready
+                yield from _all_sorted([record.take(np.isin(record.channel_id, list(selection)))])
                 if not described.all():
                     raise CaptureError(
                         f"{self._file.name}: is damaged: a message of no channel; all before was read"

@@ -455,12 +455,8 @@ class Numbering:
         """Return whether a record, and the schema of a channel, keep their numbers; nothing is written."""
         if isinstance(record, Schema):
             return self.schema(record, write=False) == record.id
-        number = self.number(record, schema)
+        number = self.channel(record, schema, write=False)
         return number == record.id and self._records[Channel, number] == record
-
-    def number(self, channel: Channel, schema: Schema | None) -> int:
-        """Number a channel and its schema, without writing them."""
-        return self.channel(channel, schema, write=False)
 
     def channel(
         self, channel: Channel, schema: Schema | None, *, write: bool = True, inside: Container[RecordId] = ()
