@@ -28,7 +28,7 @@ from edoras_tools import doors
 from edoras_tools.errors import ConfigError
 from edoras_tools.links import ROWS
 from edoras_tools.middleware import MOST_DOMAIN
-from edoras_tools.older import StrEnum
+from edoras_tools.older import UTC, StrEnum
 
 if TYPE_CHECKING:
     from datetime import tzinfo
@@ -223,8 +223,6 @@ def moment(text: str) -> tuple[str, int]:
     text = text.strip()
     match = re.fullmatch(_CLOCK, text)
     if match and any(match.groups()[:2]) and not text.isdecimal():
-        from edoras_tools.older import UTC
-
         at(text, UTC)
         return text, 0
     try:
@@ -270,8 +268,6 @@ def time_zone(text: str) -> tuple[tzinfo | None]:
     if text.lower() == "local":
         return (None,)
     if text.upper() in {"UTC", "Z"}:
-        from edoras_tools.older import UTC
-
         return (UTC,)
     import zoneinfo
 
@@ -603,7 +599,6 @@ class TimeOptions(NamedTuple):
         Raises:
             ConfigError: the end is not after the start, or a zone is given without a clock time.
         """
-        from edoras_tools.older import UTC
         from edoras_tools.pipelines.selection import Period
 
         start, end = self.start or ("", 0), self.end or ("", 0)

@@ -238,6 +238,16 @@ class Window:
         self._size = FIRST
         self.room: Callable[[int], Octets] = lambda size: np.empty(size, np.uint8)
 
+    def holds(self, size: int) -> bool:
+        """Return whether the stream's first ``size`` bytes are here; read on until they are.
+
+        Raises:
+            CaptureError: the stream cannot be read further.
+        """
+        while self.end < size and self.advance(0):
+            pass
+        return self.end >= size
+
     def advance(self, start: int) -> bool:
         """Move forward: keep the bytes from ``start`` on, and read more after them into another buffer.
 

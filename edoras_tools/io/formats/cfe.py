@@ -61,9 +61,7 @@ class CfePacketSource(RecordSource):
         """
         super().__init__(window)
         name = window.stream.name
-        while window.end < cfe.FILE_HEADER.size and window.advance(0):
-            pass
-        if window.end < cfe.FILE_HEADER.size:
+        if not window.holds(cfe.FILE_HEADER.size):
             raise CaptureError(
                 f"{name}: ends inside the cFE file header, at byte {window.end} of {cfe.FILE_HEADER.size}"
             )
@@ -80,9 +78,7 @@ class CfePacketSource(RecordSource):
         self._info = SourceInfo(name, f"cFE {kind}")
         self._time_ns = (cfe.EPOCH_S + self.header["seconds"]) * SECOND
         self._clock_at = 0
-        while window.end < self._at and window.advance(0):
-            pass
-        if window.end < self._at:
+        if not window.holds(self._at):
             raise CaptureError(
                 f"{name}: ends inside Data Storage's header, at byte {window.end} of {self._at}"
             )

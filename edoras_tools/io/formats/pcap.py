@@ -67,9 +67,8 @@ class PcapSource(RecordSource):
         """
         super().__init__(window)
         name = window.stream.name
-        while window.end < FILE_HEADER_BYTES:
-            if not window.advance(0):
-                raise CaptureError(f"{name}: ends inside the pcap file header, at byte {window.end} of 24")
+        if not window.holds(FILE_HEADER_BYTES):
+            raise CaptureError(f"{name}: ends inside the pcap file header, at byte {window.end} of 24")
         header = window.data[:FILE_HEADER_BYTES].tobytes()
         self._order, self._unit_ns = MAGICS[header[:4]]
         major, minor, _, _, snap_length, network = struct.unpack(f"{self._order}HHiIII", header[4:])

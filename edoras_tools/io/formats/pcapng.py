@@ -158,9 +158,8 @@ class PcapngSource(capture_file.RecordSource):
         self._section = 0
         self._seen: list[_Interface] = []
         self._read_with: dict[str, str] = {}
-        while window.end < _LEAST_BYTES[SECTION_HEADER]:
-            if not window.advance(0):
-                raise self._error(0, "the file ends inside its section header")
+        if not window.holds(_LEAST_BYTES[SECTION_HEADER]):
+            raise self._error(0, "the file ends inside its section header")
         self._begin_section(0)
         self._lead()
 

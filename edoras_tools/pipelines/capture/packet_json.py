@@ -26,7 +26,7 @@ from edoras_tools.io.formats.columns import json_value, value_texts
 from edoras_tools.links.protocol import LinkProtocol
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import NO_ROUTE, Decoded, Finding, Link, RosMessage
-from edoras_tools.ros.cdr.bulk import MessageColumns, Ragged
+from edoras_tools.ros.cdr.bulk import Ragged
 from edoras_tools.ros.library import PLACEHOLDER
 from edoras_tools.wire import ccsds, cfe, sbn
 from edoras_tools.wire.arrays import Integers, Places, by_value, gather, numbered
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from edoras_tools.decode.context import Context
     from edoras_tools.decode.filters.rows import ColumnRows
     from edoras_tools.decode.summary import Column
-    from edoras_tools.ros.cdr.plan import CdrPlan
     from edoras_tools.wire.layout import Layout
 
     Texts = str | Sequence[Any]
@@ -146,7 +145,8 @@ def _tails(rows: ColumnRows) -> list[str | None]:
     easy = read_whole(rows) if shapes is None else read_whole(rows) & shapes.known
     about: dict[str, NDArray[Any]] = {name: np.full(len(rows), "null", object) for name in _ABOUT}
     for owner, topic, name, messages, plan, _ in message_rows(rows, easy):
-        texts = _message_texts(messages, plan)
+        columns = grouped_columns(messages, plan)  # none of a type with lists of messages that hold lists
+        texts = None if columns is None else _message_objects(columns, len(messages))
         for key, value in zip(_ABOUT, (_text(topic), _text(name), texts or "null"), strict=True):
             about[key][owner] = value
         easy[owner if texts is None else owner[~messages.valid]] = False
@@ -244,12 +244,6 @@ def _fixed(link: Link) -> tuple[Layout, ...] | None:
         return (sbn.HEADER,)
     usual = isinstance(link, LinkProtocol) and type(link).dissect is LinkProtocol.dissect
     return link.layouts if usual and isinstance(link, LinkProtocol) and not link.forms else None
-
-
-def _message_texts(messages: MessageColumns, plan: CdrPlan) -> list[str] | None:
-    """Return the JSON texts of messages; None if the type has lists of messages that contain lists."""
-    columns = grouped_columns(messages, plan)
-    return None if columns is None else _message_objects(columns, len(messages))
 
 
 def _texts(column: Column) -> Texts:

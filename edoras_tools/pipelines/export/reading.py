@@ -76,10 +76,9 @@ class TableForm(NamedTuple):
 
     def _all(self, block: TopicBlock, zero_ns: int) -> Iterator[TableColumn]:
         fields = block.message.fields
-        own = {"time": block.time_ns, "publish_time": block.publish_ns}
-        for name, times in own.items():
-            if times is not None:
-                yield self._time(_free(name, fields), times, zero_ns)
+        yield self._time(_free("time", fields), block.time_ns, zero_ns)
+        if block.publish_ns is not None:
+            yield self._time(_free("publish_time", fields), block.publish_ns, zero_ns)
         if block.sequence is not None:
             yield TableColumn(_free("sequence", fields), block.sequence)
         if block.recording is not None:

@@ -37,7 +37,7 @@ from edoras_tools.wire import cfe
 
 if TYPE_CHECKING:
     from edoras_tools.io.formats.watched import OutputLoss
-    from edoras_tools.io.net.transmit import Arrival, SendStatistics
+    from edoras_tools.io.net.transmit import Arrival
     from edoras_tools.links.protocol import SendingSession
     from edoras_tools.mission import Mission
     from edoras_tools.pipelines.reading import Keys
@@ -70,7 +70,7 @@ class SentRecording:
     """
 
     def __init__(self, wire: transmit.Wire, target: Target, bench: Workbench) -> None:
-        self.now, self.ends = wire.now, wire.ends
+        self.now, self.ends, self.statistics = wire.now, wire.ends, wire.statistics
         self._wire, self._bench = wire, bench
         self._source = PushedSource(SourceInfo(f"sent to {wire.ends[1]}", "replay"), SourceStatistics())
         self._sink = open_sink(target, self._source, bench)
@@ -84,11 +84,6 @@ class SentRecording:
     def losses(self) -> Sequence[OutputLoss]:
         """Outputs that were removed during writing."""
         return self._sink.losses
-
-    @property
-    def statistics(self) -> SendStatistics:
-        """Counters of the datagrams."""
-        return self._wire.statistics
 
     def epoch_ns(self) -> int:
         """Return the difference between ns since 1970 and the wire's time."""

@@ -6,7 +6,6 @@ recording is equal to the original one, bit for bit, even if its timestamps step
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 from bisect import bisect_left
@@ -17,6 +16,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import msgspec
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -127,8 +127,8 @@ class McapSource(FrameSource):
             snap_length=_positive(values, "snap_length", 262144),
             attachments=self._attachments,
             definitions=self._definitions,
-            read_with=_words(values.get("read_with", "")),
-            links=_labels(values.get("links", "")),
+            read_with=_of_json(values.get("read_with", ""), dict[str, str]) or {},
+            links=_of_json(values.get("links", ""), frozenset[str]),
             apart=values.get("apart") == __version__ and sum(self._flows.values()) == self._total,
             sound=values.get("sound") == "true",
         )
@@ -654,31 +654,19 @@ def _array(data: bytes | bytearray | memoryview) -> Octets:
     return np.frombuffer(data, dtype=np.uint8)
 
 
-def _words(text: str) -> dict[str, str]:
-    """Return a JSON object of texts; empty if it is not one."""
-    try:
-        table = json.loads(text or "{}")
-    except ValueError:
-        return {}
-    return {str(name): str(value) for name, value in table.items()} if isinstance(table, dict) else {}
+def _of_json(text: str, kind: type[T]) -> T | None:
+    """Return a value of a type from JSON; None if it is not one."""
+    with suppress(msgspec.DecodeError):
+        return msgspec.json.decode(text or "null", type=kind)
+    return None
 
 
 def _flows(text: str) -> dict[tuple[str, int], int]:
     """Return the number of datagrams by link and MsgId, from a JSON object; empty if it is not one."""
-    try:
-        counts = [(name.partition("/"), count) for name, count in _words(text).items()]
-        return {(label, int(msg_id, 16)): int(count) for (label, _, msg_id), count in counts}
-    except ValueError:
-        return {}
-
-
-def _labels(text: str) -> frozenset[str] | None:
-    """Return a JSON list of texts; None if it is not one."""
-    try:
-        labels = json.loads(text or "null")
-    except ValueError:
-        return None
-    return frozenset(map(str, labels)) if isinstance(labels, list) else None
+    counts = [(name.partition("/"), count) for name, count in (_of_json(text, dict[str, int]) or {}).items()]
+    with suppress(ValueError):
+        return {(label, int(msg_id, 16)): count for (label, _, msg_id), count in counts}
+    return {}
 
 
 def _positive(values: dict[str, str], name: str, default: int) -> int:
