@@ -22,9 +22,7 @@ from typing import IO, ClassVar, Final, NamedTuple
 
 from edoras_tools.errors import CaptureError, ConfigError, OnFailure, os_errors
 
-ENDING: Final = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
+ENDING: Final = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
 """The signals that end a program which writes: Ctrl-C, ``kill``, and a closed terminal."""
 STDOUT: Final = Path("-")
 """Path that stands for standard output."""

@@ -443,11 +443,9 @@ def _text_equal(field: FilterField, symbol: str, value: Value) -> Test:
         )
     if field.kind is ValueKind.BYTES:
         expected = _bytes(field, value)
-        return (
-            _lifted(lambda item: item == expected)
-            if symbol == "=="
-            else _lifted(lambda item: item != expected)
-        )
+        if symbol == "==":
+            return _lifted(lambda item: item == expected)
+        return _lifted(lambda item: item != expected)
     word, alike = value.text, field.alike or operator.eq
     words = {word, split_topic(word)[1]}
     if field.choices and not any(alike(text, item) for text in field.choices for item in words):

@@ -287,9 +287,7 @@ def _of_any_format(field: FilterField) -> FilterField:
             return Series.of_chosen(np.zeros(len(rows), np.uint64), np.zeros(len(rows), bool))
         places = partial(_envelopes, envelope.size)
         if field.kind is ValueKind.STRUCT:
-            present = np.zeros(len(rows), bool)
-            present[places(rows)[0]] = True
-            return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), present)
+            return Series.of_chosen(np.zeros(len(rows), INDEX_DTYPE), _presence(places, rows))
         return _gathered(envelope.layout, envelope.layout.by_name[name], places, rows)
 
     return replace(field, read=read)

@@ -318,11 +318,9 @@ def network_peers(path: Path) -> tuple[SbnPeerConfig, ...]:
     """
     table = read_cfe_file(path) if path.exists() else None
     if table is None or table.head.get("table_name") != sbn.TABLE or "protocols" not in table.head:
-        problem = (
-            f"is not an image of SBN's table, of {_SBN_BYTES} bytes"
-            if path.exists()
-            else "there is no such file"
-        )
+        problem = "there is no such file"
+        if path.exists():
+            problem = f"is not an image of SBN's table, of {_SBN_BYTES} bytes"
         raise CaptureError(f"{path}: {problem}; name one of {sbn.TABLE}")
     peers = []
     for item in table.entries:

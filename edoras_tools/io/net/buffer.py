@@ -259,10 +259,8 @@ class ReceiveMany:
         self._headers = _headers(self._vectors)
         self._headers["name"] = self._names.ctypes.data + np.arange(len(base)) * sockets.PACKED_BYTES
         self._headers["control"] = self._control.ctypes.data + np.arange(len(base)) * _CONTROL.itemsize
-        self._name_length, self._control_length = (
-            self._headers["name_length"],
-            self._headers["control_length"],
-        )
+        self._name_length = self._headers["name_length"]
+        self._control_length = self._headers["control_length"]
         self._name_length[:], self._control_length[:] = sockets.PACKED_BYTES, _CONTROL.itemsize
         self.length = self._headers["length"]
         self._start = ctypes.c_void_p(self._headers.ctypes.data)
@@ -499,13 +497,8 @@ class Sockets(Device):
             ends["source"][:, :width] = senders[:, _ADDRESS[bound.version]]
             ends["source_port"] = np.ascontiguousarray(senders[:, _PORT]).view(">u2")[:, 0]
             ends["destination"][:, :width] = buffer.destinations(count, bound.version)
-            page.add(
-                buffer.slots.reshape(-1),
-                buffer.starts[:count],
-                buffer.length[:count],
-                buffer.times(count),
-                ends,
-            )
+            start, length = buffer.starts[:count], buffer.length[:count]
+            page.add(buffer.slots.reshape(-1), start, length, buffer.times(count), ends)
             if count < SLOTS:
                 return True
         return False

@@ -318,11 +318,9 @@ class StreamTransmitter(_Port):
         return count
 
     def _broken(self, error: OSError) -> CaptureError:
-        why = (
-            f"takes nothing for {ANSWER_WITHIN_S:g} s"
-            if isinstance(error, TimeoutError)
-            else error.strerror or error
-        )
+        why = error.strerror or error
+        if isinstance(error, TimeoutError):
+            why = f"takes nothing for {ANSWER_WITHIN_S:g} s"
         return CaptureError(
             f"{self._name}: the connection broke after {self.statistics.sent:,} messages: {why}"
         )

@@ -188,11 +188,9 @@ def exploded(columns: Sequence[TableColumn]) -> list[TableColumn]:
             result.append(TableColumn(column.name, values[owner], present, column.unit))
             continue
         inside = element < np.diff(values.offsets)[owner]
-        spread = (
-            np.full(len(owner), "", object)
-            if values.values.dtype.kind == "O"
-            else np.zeros(len(owner), values.values.dtype)
-        )
+        spread = np.zeros(len(owner), values.values.dtype)
+        if spread.dtype.kind == "O":
+            spread[:] = ""
         spread[inside] = values.values
         result.append(TableColumn(column.name, spread, inside, column.unit))
     name = _free(ELEMENT, {column.name: None for column in flat})

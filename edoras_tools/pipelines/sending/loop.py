@@ -154,11 +154,9 @@ def _peer(
                 f"its SBN peer table has no such peer; set --as SC:CPU as in the table{crash}"
             )
         if session.answered is None:
-            place = (
-                ": set --as SC:CPU"
-                if options.tcp
-                else f" at UDP {local.port}: set --as SC:CPU and --listen PORT"
-            )
+            place = f" at UDP {local.port}: set --as SC:CPU and --listen PORT"
+            if options.tcp:
+                place = ": set --as SC:CPU"
             refusal = f"; {options.target} refuses: no program listens there"
             refused = refusal if wire.statistics.refused else ""
             return (
@@ -488,13 +486,11 @@ class Sending:
         start = self._wire.now() + _LEAD_NS
         passes_sent = 0
         while not self.stopped and (not passes or passes_sent < passes):
-            batch = (
-                changes.each(
+            batch = out
+            if changes.differ:
+                batch = changes.each(
                     out, sent=passes_sent, start_ns=start + self._epoch_ns, due_ns=self._table.due_ns
                 )
-                if changes.differ
-                else out
-            )
             start = self._one_pass(batch, start) + self._table.period_ns
             passes_sent += 1
         while not self.stopped and (held_ns := self._held_ns()) is not None:

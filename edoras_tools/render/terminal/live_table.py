@@ -214,11 +214,9 @@ class LiveView(Generic[_T]):
         self._last: _T | None = None
         self._stack = ExitStack()
         self._stream: BackgroundStream | None = None
-        self._live = (
-            Live(console=console, auto_refresh=False, redirect_stdout=False, transient=transient)
-            if console.is_terminal
-            else None
-        )
+        self._live: Live | None = None
+        if console.is_terminal:
+            self._live = Live(console=console, auto_refresh=False, redirect_stdout=False, transient=transient)
 
     def __enter__(self) -> Self:
         if self._live:

@@ -506,11 +506,9 @@ def _window(body: Octets, first: int, end: int, ranges: list[tuple[int, int]]) -
 def _rows(data: Octets) -> NDArray[np.uint64]:
     """Return bytes as u64, repeated for each row of a chunk; numpy is slow to broadcast short rows itself."""
     words = data.view("<u8")
-    return (
-        np.tile(words, (_CHUNK_ROWS, 1))
-        if len(words) <= _SHORT
-        else np.broadcast_to(words, (_CHUNK_ROWS, len(words)))
-    )
+    if len(words) <= _SHORT:
+        return np.tile(words, (_CHUNK_ROWS, 1))
+    return np.broadcast_to(words, (_CHUNK_ROWS, len(words)))
 
 
 class Ragged(msgspec.Struct, frozen=True, eq=False):

@@ -303,11 +303,9 @@ class McapSink(Sink):
         self._note_outages()
         self._chunks.flush()
         self._attach(0)
-        metadata = (
-            {}
-            if statistics is None
-            else {"kernel_drops": statistics.kernel_drops, "skipped": statistics.skipped}
-        )
+        metadata: dict[str, int | None] = {}
+        if statistics is not None:
+            metadata = {"kernel_drops": statistics.kernel_drops, "skipped": statistics.skipped}
         file.add_metadata(
             METADATA_NAME,
             {
