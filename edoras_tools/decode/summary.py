@@ -184,11 +184,11 @@ def _texts(column: Column, rows: Places) -> list[str]:
         some = np.minimum(count, _MOST_ITEMS)
         ends = np.cumsum(some)
         places = np.arange(some.sum()) + np.repeat(start - ends + some, some)
-        items = (
-            [f"{{{text}}}" for text in _words({k: v[places] for k, v in column.columns.items()}, len(places))]
-            if isinstance(column, Group)
-            else _values(column.values[places])
-        )
+        if isinstance(column, Group):
+            inside = {name: values[places] for name, values in column.columns.items()}
+            items = [f"{{{text}}}" for text in _words(inside, len(places))]
+        else:
+            items = _values(column.values[places])
         bounds = zip((ends - some).tolist(), ends.tolist(), count.tolist(), strict=True)
         return [_listed(items[first:end], size) for first, end, size in bounds]
     if column.ndim > 1:

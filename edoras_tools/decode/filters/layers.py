@@ -508,15 +508,11 @@ class MessageFieldFinder:
         scope = partial(_may_hold, routes) if bound is None else partial(_holds, bound)
         last = steps[-1].field.type
         dtype = np.dtype(library.PRIMITIVES.get(last, "q"))
-        kind = (
-            ValueKind.STRUCT
-            if last in self._definitions
-            else ValueKind.TEXT
-            if last in library.STRINGS
-            else ValueKind.BOOL
-            if dtype.kind == "b"
-            else ValueKind.NUMBER
-        )
+        kind = ValueKind.BOOL if dtype.kind == "b" else ValueKind.NUMBER
+        if last in self._definitions:
+            kind = ValueKind.STRUCT
+        elif last in library.STRINGS:
+            kind = ValueKind.TEXT
         limits = (int(np.iinfo(dtype).min), int(np.iinfo(dtype).max)) if dtype.kind in "iu" else None
         return FilterField(
             path,

@@ -31,7 +31,7 @@ import os
 import select
 import socket
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
@@ -73,14 +73,13 @@ class SendStatistics(msgspec.Struct):
 
     sent: int = 0
     refused: int = 0
-    errors: dict[str, int] = msgspec.field(default_factory=dict)
+    errors: Counter[str] = msgspec.field(default_factory=Counter)
 
     def add(self, sent: sockets.SendResult) -> None:
         """Add the result of sending some datagrams."""
         self.sent += sent.accepted
         self.refused += sent.refused
-        for reason, count in sent.errors.items():
-            self.errors[reason] = self.errors.get(reason, 0) + count
+        self.errors.update(sent.errors)
 
 
 class _Port:

@@ -151,8 +151,8 @@ def software_bus_messages(
         published: publish time, i64, ns since 1970.
         big_endian: whether the counters are big-endian.
     """
-    kind = _HOUSEKEEPING.newbyteorder(">") if big_endian else _HOUSEKEEPING
-    rows, payload = _telemetry(batch, columns, cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID, kind)
+    msg_id = cfe.SOFTWARE_BUS_HOUSEKEEPING_MSG_ID
+    rows, payload = _telemetry(batch, columns, msg_id, _HOUSEKEEPING, big_endian=big_endian)
     if not len(rows):
         return no_messages(channel_id, _SOFTWARE_BUS)
     heads = np.zeros(len(rows), dtype=_SOFTWARE_BUS)
@@ -178,8 +178,7 @@ def event_messages(
         published: publish time, i64, ns since 1970.
         big_endian: whether the numbers are big-endian.
     """
-    kind = _EVENT.newbyteorder(">") if big_endian else _EVENT
-    rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, kind)
+    rows, payload = _telemetry(batch, columns, cfe.EVENT_MSG_ID, _EVENT, big_endian=big_endian)
     if not len(rows):
         return no_messages(channel_id, _LOG)
     times = batch.time_ns[rows], published[rows]
@@ -247,9 +246,10 @@ def _logs(
 
 
 def _telemetry(
-    batch: PacketBatch, columns: Columns, msg_id: int, payload: np.dtype[np.void]
+    batch: PacketBatch, columns: Columns, msg_id: int, payload: np.dtype[np.void], *, big_endian: bool
 ) -> tuple[Integers, NDArray[np.void]]:
     """Find cFE telemetry of one MsgId that is long enough, and gather its payloads."""
+    payload = payload.newbyteorder(">") if big_endian else payload
     rows = np.flatnonzero(cfe.known_ids(columns.msg_id, columns.headers) == msg_id)
     if not len(rows):
         return rows, np.zeros(0, payload)

@@ -253,11 +253,10 @@ def _texts(column: Column) -> Texts:
         if isinstance(column, Ragged) and column.values.itemsize > 1 and _as_python(column.values):
             values = column.values.tolist()
             return [str(values[first:last]).replace(" ", "") for first, last in pairwise(offsets)]
-        items = (
-            _message_objects(column.columns, offsets[-1])
-            if isinstance(column, Group)
-            else value_texts(_doubles(column.values))
-        )
+        if isinstance(column, Group):
+            items = _message_objects(column.columns, offsets[-1])
+        else:
+            items = value_texts(_doubles(column.values))
         return [f"[{','.join(items[first:last])}]" for first, last in pairwise(offsets)]
     return str(_each(column[:1])[0]) if len(column) and _all_equal(column) else _each(column)
 

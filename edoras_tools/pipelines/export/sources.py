@@ -504,10 +504,8 @@ def _in_order(streams: Sequence[Messages], rows: int) -> Sequence[Messages]:
 def _laid(streams: Sequence[Messages], rows: int) -> Messages:
     """Put messages in order of their rows, each with its header in front of its bytes."""
     laid = lay_out(streams, rows)
-    data, number = (
-        np.frombuffer(laid.data, np.uint8),
-        np.sort(np.concatenate([item.rows for item in streams])),
-    )
+    data = np.frombuffer(laid.data, np.uint8)
+    number = np.sort(np.concatenate([item.rows for item in streams]))
     heads = read_at(data, laid.start - RECORD_BYTES, RECORD).__getitem__
     time_ns, length = laid.log_time.astype(np.int64), laid.end - laid.start
     return Messages(number, laid.channel_id, time_ns, RECORD_BYTES, heads, data, laid.start, length)

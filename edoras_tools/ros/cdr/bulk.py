@@ -153,12 +153,8 @@ class Cursor:
         """Drop the rows where ``good`` is False; return the column ``carried`` without them."""
         if good.all():
             return carried
-        self.rows, self.base, self.end, self.parent = (
-            self.rows[good],
-            self.base[good],
-            self.end[good],
-            self.parent[good],
-        )
+        self.rows, self.base = self.rows[good], self.base[good]
+        self.end, self.parent = self.end[good], self.parent[good]
         self.swap = None if self.swap is None else self.swap[good]
         self.position = self.position if isinstance(self.position, int) else self.position[good]
         self.room = int(self.end.min()) if len(self.end) else 0

@@ -92,10 +92,11 @@ class McapSink(Sink):
         self._info = info
         self._options = options
         self._live = statistics
-        self._streams: Streams | RecordedStreams = (
-            RecordedStreams(mission, types, options.topics)
-            if mission.recorded
-            else Streams(
+        self._streams: Streams | RecordedStreams
+        if mission.recorded:
+            self._streams = RecordedStreams(mission, types, options.topics)
+        else:
+            self._streams = Streams(
                 mission,
                 types,
                 statistics,
@@ -105,8 +106,6 @@ class McapSink(Sink):
                 transforms=options.transforms,
                 sequences=None if options.splits else options.sequences,  # parts of a batch are other batches
             )
-        )
-        if isinstance(self._streams, Streams):
             self._streams.endpoints = options.endpoints
         self._extras: dict[str, int] = {}
         self._noted: list[InterfaceOutage] = []
