@@ -269,7 +269,7 @@ class QuotedRows(NamedTuple):
         datagrams: batch with their endpoints; the other columns are those of the errors.
         identification: IPv4 identification, u16; 0 for IPv6, which has none.
         closed: whether the addressed host itself reports that nobody listens on the port, bool.
-        reason: why, a number from 1 on, i64; :func:`reason_text` returns its text.
+        reason: why, a number from 1 on, i64; :func:`error_text` returns its text.
     """
 
     datagrams: PacketBatch
@@ -332,7 +332,7 @@ TOO_LONG: Final = (0x040304, 0x060200)
 """The reasons that the way carries no packets as long as the datagram's."""
 
 
-def reason_text(reason: int) -> str:
+def error_text(reason: int) -> str:
     """Return why a datagram reached nobody, as the standards call it: ``host unreachable``."""
     version, kind, code = reason.to_bytes(3)
     layout = next(form for form in FORMS if form.version == version).kinds[kind]

@@ -37,7 +37,7 @@ class PortErrors(NamedTuple):
         destination: i64 (n,), number of the endpoint that did not get it.
         identification: i64 (n,), IP identification of the quoted datagram; 0 if it has none.
         closed: bool (n,), whether the receiver's host reports that nobody listens on the port.
-        reason: i64 (n,), what the error says; ``reason_text`` of the link has its text.
+        reason: i64 (n,), what the error says; ``error_text`` of the link has its text.
         print: i64 (n,), fingerprint of the error's own IP packet.
     """
 

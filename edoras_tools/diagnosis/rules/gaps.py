@@ -33,7 +33,7 @@ from edoras_tools.diagnosis.verdict import (
     warning,
 )
 from edoras_tools.links.bare import CI, ROBOT, TO
-from edoras_tools.links.icmp import reason_text
+from edoras_tools.links.icmp import error_text
 from edoras_tools.links.sbn import SBN
 from edoras_tools.model import rate_hz
 from edoras_tools.units import SECOND
@@ -598,7 +598,7 @@ def unreachable(case: Case) -> Iterator[Verdict]:
             continue
         endpoint, reasons = case.endpoints[item.endpoint], case.unreachable.refused
         numbers = distinct(reasons[(case.rows.destination == item.endpoint) & (reasons > 0)]).tolist()
-        why = listed([reason_text(reason) for reason in numbers])
+        why = listed([error_text(reason) for reason in numbers])
         yield error(
             f"{plural(len(rows), 'message')} of {case.name(item.stream.msg_id)} did not reach {endpoint}: "
             f"{why}, as ICMP errors about them say",
