@@ -26,7 +26,7 @@ from edoras_tools.cfs import command_ingest
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.diagnosis.matching.streams import bursts, full_where_lacking
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays import Integers, groups
+from edoras_tools.wire.arrays import Integers, by_key, groups
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -169,7 +169,8 @@ def _ingest(rows: Rows, hops: Sequence[Hop]) -> int | None:
 def _reported(case: Case) -> dict[str, int]:
     """Return the period of Command Ingest's rounds, ns, and a limit behind it, by events (rule 3)."""
     every = ((item, report) for item, report in case.reported_losses.items() if item.kind == "limit")
-    own = [(item, report) for item, report in every if item.sender == command_ingest.NAME]
+    sent = by_key((stream for stream in case.streams if stream.is_command), lambda stream: stream.msg_id)
+    own = [one for one in every if one[0].sender == command_ingest.NAME and one[0].msg_id in sent]
     if not own:
         return {}
     item, report = max(own, key=lambda both: both[1].count)
@@ -180,8 +181,8 @@ def _reported(case: Case) -> dict[str, int]:
     # On a host that is short of time, rounds are late, and the shortest one is the period.
     if not round_ns or abs(ratio - max(1, round(ratio))) < _NEAR or steps.min() < (1 - _NEAR) * round_ns:
         return {}
-    sent = [stream.time_ns for stream in case.streams if stream.msg_id == item.msg_id and stream.is_command]
-    came = np.diff(np.searchsorted(np.sort(np.concatenate(sent)), made_ns[begins]))
+    sent_ns = np.sort(np.concatenate([stream.time_ns for stream in sent[item.msg_id]]))
+    came = np.diff(np.searchsorted(sent_ns, made_ns[begins]))
     limit = int(np.median((came - lost[1:])[steps < (1 + _NEAR) * round_ns]))
     # If more get through, the application reads meanwhile, or requests wake Command Ingest.
     is_less = 0 < limit <= case.assumed.app_msg_limit

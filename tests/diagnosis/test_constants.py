@@ -69,6 +69,13 @@ def test_events_show_the_rounds_of_ci_and_the_limit_behind_it(lab, hz, big):
     assert "500 ms" not in text
 
 
+def test_events_about_commands_that_are_not_captured_show_no_limit(lab):
+    sent, counters = lab.simulate("rover", seconds=20, hz=12.0, **OTHER)
+    found = lab.examine([item for item in sent if item.payload[:2] != b"\x18\x27"])
+    assert found.case.profile.app_msg_limit == 4
+    assert 0 < found.lost + found.unaccounted <= counters.msg_limits + counters.pipe_overflows
+
+
 @pytest.mark.parametrize("hz", [9.0, 10.0, 30.0])
 def test_events_at_multiples_of_the_usual_round_show_no_other(lab, hz):
     sent, _ = lab.simulate("rover", seconds=20, hz=hz)
