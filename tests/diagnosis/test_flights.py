@@ -2,6 +2,7 @@
 
 import random
 import re
+import struct
 from collections import Counter
 from itertools import pairwise
 
@@ -2393,6 +2394,25 @@ def test_what_waited_in_the_socket_is_lost_with_the_restart(name, lost):
     found = examined(name)
     assert sum(row.lost.get("down", 0) for row in found.balance) == lost
     assert sum(item.lost for item in found.verdicts if item.rule == "cfs_restart") == lost
+
+
+@pytest.mark.parametrize("number", [0x501, 0x3C01, 0x6C01])
+def test_a_peer_whose_number_has_the_length_of_its_messages_sends_the_header_of_sbn(tmp_path, number):
+    name, old, new = "peer_killed_at_the_end", struct.pack(">II", 3, 66), struct.pack(">II", number, 66)
+    items = [
+        item._replace(data=bytes(mutations.summed(item.data[:45] + new + item.data[53:])))
+        if item.data[45:53] == old and mutations.is_to(item.data, 2234)
+        else item
+        for item in mutations.frames(FOLDER / f"{name}.pcap.zst")
+    ]
+    found, same = truth.examined(mutations.write(tmp_path / "flight.pcap", items)), examined(name)
+    assert [item.reason for item in found.verdicts if item.rule == "unknown_peer"] == []
+    assert (found.lost, found.uncertain) == (same.lost, same.uncertain)
+
+
+def test_what_waited_long_is_not_lost_of_the_few_that_were_sent_later():
+    reasons = [item.reason for item in examined("three_losses_ground").verdicts if item.lost == 52]
+    assert [item.partition(" lost at ")[0] for item in reasons] == ["52 commands on 0x1827"]
 
 
 def test_packets_without_the_header_of_sbn_are_no_peer(tmp_path):

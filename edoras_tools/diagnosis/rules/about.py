@@ -88,7 +88,8 @@ def of_messages(
 
 def lost_at(case: Case, loss: Loss, noun: str = "messages") -> str:
     """Return the start of the sentence: ``12 of 60 messages on 0x0827 (/pose) lost at TO_LAB_TLM_PIPE``."""
-    of = f" of {loss.of:,}" if loss.of else ""
+    # Of what waited in CI, more may be lost in a time than was sent in it.
+    of = f" of {loss.of:,}" if (loss.of or 0) >= loss.lost else ""
     word = noun.removesuffix("s") if loss.lost == 1 and not of else noun
     return f"{loss.lost:,}{of} {word} on {case.name(loss.msg_id)} lost at {loss.hop}"
 

@@ -566,7 +566,7 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
     came_out = np.concatenate([np.zeros(0, np.intp), *(hop.into.rows[hop.in_rows] for hop in case.hops)])
     msg_ids = [hop.into.msg_id for hop in case.hops]
     # The length of a space packet without SBN's header lies where SBN has the processor.
-    bare = (rows.link == SBN) & (rows.length > 7) & (rows.processor_id >> 8 == rows.length - 7)
+    bare = rows.has(Finding.SBN_SIZE_MISMATCH) & (rows.processor_id >> 8 == rows.length - 7)
     for who, members in groups(rows.sbn_sender(), np.flatnonzero(_foreign(case, came_out) | bare)):
         peer, start_ns = peer_of(who), case.span(members)[0]
         lines = answers(case, start_ns, *(event.text.format(**peer._asdict()) for event in _UNKNOWN_PEER))
@@ -579,10 +579,8 @@ def unknown_peer(case: Case) -> Iterator[Verdict]:
         usual_place *= usual != str(peer)
         remedy = "make spacecraft_id and processor_id of the bridge agree with cFS's SBN table (sbn_conf_tbl)"
         if bare[members].all():
-            usual_place, remedy = (
-                ", which are packets without SBN's header",
-                "send them to Command Ingest's port",
-            )
+            usual_place = ", which are packets without SBN's header"
+            remedy = "send them to Command Ingest's port"
         refused = _refused(
             case,
             members,
