@@ -475,6 +475,11 @@ def _ways(case: Case) -> Iterator[LedgerWay]:
         way.hop(BUS, _BY_BUS)
         way.end("not_captured", number)
         yield way
+    for msg_id, number in case.telemetry.in_part.items():
+        way = LedgerWay(LedgerTraffic(msg_id=msg_id), number)
+        way.hop(BEHIND, {"in": SEEN})
+        way.end("uncertain", number)
+        yield way
     for refused in (one for one in case.refused if case.commands.unplaced[one] or one.perhaps):
         yield _of_no_stream(case, refused, case.commands.unplaced[refused])
     if drops := case.capture.drops:

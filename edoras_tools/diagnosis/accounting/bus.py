@@ -167,12 +167,17 @@ class Telemetry:
         ends: stream to the fates of missing messages that are in no loss.
         silenced: streams, each with the number of messages that Telemetry Output took and did not send until
             it was enabled, and the messages that they are some of.
+        in_part: MsgId to how many first fragments came if all else of it may have been left out by a filter.
         parts: missing messages by stream and span.
         claims: their claims on the loss counters; ``Claim.messages`` is the part.
     """
 
     def __init__(self, case: Case) -> None:
         self._case, self._counts = case, case.loss_counts
+        self.in_part = Counter[int]()
+        # A filter by port, as of tcpdump, leaves out all later fragments: they have none.
+        whole = case.rows.has(Finding.FRAGMENT) & ~case.rows.streamed
+        self._keeps = bool(whole.any()) or not all(item.head for item in case.capture.lacking)
         self.ends: defaultdict[Stream | None, Counter[GapEnd]] = defaultdict(Counter)
         self._silent_ways: dict[tuple[int, int], tuple[list[tuple[int, int]], ...]] = {}
         self.silenced: list[tuple[Stream, int, Among]] = []
@@ -570,7 +575,9 @@ class Telemetry:
         for (sender, msg_id), every in case.incomplete_ns.items():
             times = np.sort(every)
             times = times if len(times) >= _LEAST_FRAGMENTED else self._dropped_of(times)
-            if (sender, msg_id) not in whole and (number := len(times)):
+            if (sender, msg_id) not in whole and not self._keeps:
+                self.in_part[msg_id] += len(every)
+            elif (sender, msg_id) not in whole and (number := len(times)):
                 start_ns, end_ns = np.maximum(times[[0, -1]], case.rows.time_ns[0]).tolist()
                 loss = Loss("fragments", BEHIND, number, start_ns, end_ns, "high", msg_id=msg_id, of=number)
                 loss.evidence = [_FIRST_ONLY.format(number)]
@@ -578,7 +585,7 @@ class Telemetry:
 
     def _dropped_of(self, times: Integers) -> Integers:
         """Return which of some times of first fragments, i64, lie where no later fragments came."""
-        return times[overlapping(times - 1, times + 1, self._fragmented)]
+        return times[overlapping(times - 1, times + 1, self._fragmented)] if self._keeps else times
 
     def _never_whole(self, stream: Stream, missing: Integers) -> Integers:
         """Make losses of the missing messages that lost their later fragments on the way: cFS sent them.
@@ -594,7 +601,8 @@ class Telemetry:
         # Those before the first row or after the last lie in no gap.
         room = np.append(missing[:-1], len(every))
         numbers = np.minimum(np.bincount(at[at >= 0], minlength=len(stream)), room)
-        for span in stream.spans:
+        self.ends[stream]["uncertain"] += 0 if self._keeps else int(numbers.sum() + (at < 0).sum())
+        for span in stream.spans if self._keeps else ():
             rows = np.flatnonzero(numbers[span.rows]) + span.first
             own = every[(np.maximum(at, 0) >= span.first) & (at <= span.last)]
             early = int((at < 0).sum()) if span.first == 0 else 0
