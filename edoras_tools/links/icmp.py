@@ -202,9 +202,7 @@ class IcmpLink(LinkProtocol):
     colour = "red"
     doc = "ICMP errors: a UDP datagram reached nobody"
     transport = Transport(ports=(0,), first="server")
-    layouts = tuple(
-        dict.fromkeys(layout for form in FORMS for layout in (*form.kinds.values(), *form.quoted))
-    )
+    layouts = tuple(dict.fromkeys(one for form in FORMS for one in (*form.kinds.values(), *form.quoted)))
     port_decides = False
     quotes = True
 

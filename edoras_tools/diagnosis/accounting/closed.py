@@ -369,12 +369,9 @@ def unreached(case: Case) -> list[Unreached]:
     """Return the messages to closed or unreachable endpoints, in the order of the streams."""
     errors, times = case.unreachable, case.rows.time_ns
     fate_of = np.zeros(len(case.rows), np.int8)
-    for mark, mask in (
-        (_UNCERTAIN, errors.uncertain),
-        (_REFUSED, errors.refused > 0),
-        (_SHUT, errors.closed),
-    ):
-        fate_of[mask] = mark
+    fate_of[errors.uncertain] = _UNCERTAIN
+    fate_of[errors.refused > 0] = _REFUSED
+    fate_of[errors.closed] = _SHUT
     if not fate_of.any():
         return []
     out: list[Unreached] = []

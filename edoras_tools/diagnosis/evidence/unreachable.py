@@ -34,7 +34,7 @@ from edoras_tools.diagnosis.evidence.table import Rows, number_hosts
 from edoras_tools.diagnosis.evidence.timeline.table import NEVER
 from edoras_tools.links.icmp import NOT_JOINED, TOO_LONG
 from edoras_tools.units import MILLISECOND, SECOND
-from edoras_tools.wire.arrays import Integers, Mask, Places, by_value, numbered
+from edoras_tools.wire.arrays import Integers, Mask, Places, by_value, groups, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -142,17 +142,15 @@ class Unreachable:
         ways, refused, delay_ns = rows.way(), self.refused > 0, np.zeros(len(rows), np.int64)
         delay_ns[quoted] = errors_ns - rows.time_ns[quoted]
         end_ns = max(int(rows.time_ns[-1]), int(errors_ns.max(initial=0)))
-        for way, own in by_value(np.where(np.isin(ways, ways[refused]), ways, -1)):
+        for _, own in groups(ways, np.flatnonzero(np.isin(ways, ways[refused]))):
             answered, times, length = refused[own], rows.time_ns[own], rows.length[own]
-            if way >= 0 and answered.any():
-                behind, last_ns = (np.maximum.accumulate(x) for x in (answered, np.where(answered, times, 0)))
-                by_length = np.isin(self.refused[own[answered]], NOT_JOINED + TOO_LONG).all()
-                least = length[answered].min() if by_length else 0
-                # The errors about the last ones may have been due after the end of the capture.
-                late = (times - last_ns < _PATIENCE_NS) | (
-                    times + delay_ns[own].max() - _DISORDER_NS > end_ns
-                )
-                self.uncertain[own] |= behind & late & (length >= least)
+            behind, last_ns = (np.maximum.accumulate(x) for x in (answered, np.where(answered, times, 0)))
+            by_length = np.isin(self.refused[own[answered]], NOT_JOINED + TOO_LONG).all()
+            least = length[answered].min() if by_length else 0
+            # The errors about the last ones may have been due after the end of the capture.
+            due_ns = times + delay_ns[own].max() - _DISORDER_NS
+            late = (times - last_ns < _PATIENCE_NS) | (due_ns > end_ns)
+            self.uncertain[own] |= behind & late & (length >= least)
 
     def _close(self, events: _Events, endpoints: Sequence[Endpoint]) -> None:
         """Add the times in which ports were closed, and mark the datagrams of rules 3 and 4."""

@@ -397,8 +397,7 @@ def _down(case: Case, instance: int, start_ns: int, end_ns: int) -> list[Loss]:
     own = [item.first_ns for item, system in items if system == case.instances.systems[instance]]
     own += [reset.end_ns for reset in case.resets]
     since_ns = min(start_ns - SECOND, max((when for when in own if when < start_ns), default=start_ns))
-    near = (loss for loss in case.losses if since_ns <= loss.start_ns <= end_ns)
-    down = (loss for loss in near if loss.kind == "down")
+    down = (loss for loss in case.losses if loss.kind == "down" and since_ns <= loss.start_ns <= end_ns)
     return [loss for loss in down if not loss.stream or case.goes_to(loss.stream, instance)]
 
 

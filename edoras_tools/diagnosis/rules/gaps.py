@@ -298,16 +298,15 @@ def lost_after_cfs(case: Case) -> Iterator[Verdict]:
             return "", (loss.kind,)
         together = loss.stream.is_housekeeping or loss.kind == "fragments"
         key = (loss.stream.sender, loss.stream.link, loss.kind) if together else (id(loss),)
-        return _relay_of(case, loss), key
+        return _relay_of(case, loss, loss.stream), key
 
     for (relay, _), members in by_key(after, relay_and_kind).items():
         yield _lost_after(case, members, relay)
 
 
-def _relay_of(case: Case, loss: Loss) -> str:
+def _relay_of(case: Case, loss: Loss, stream: Stream) -> str:
     """Return the relay that took what is missing, and did not send it on; empty where none did."""
-    assert loss.stream is not None
-    place = loss.stream.link.code, loss.msg_id, loss.stream.receiver
+    place = stream.link.code, loss.msg_id, stream.receiver
     for item in case.prepared.passed:
         near = (item.lost_ns > loss.start_ns - SECOND) & (item.lost_ns < loss.end_ns + SECOND)
         if (item.link, item.msg_id, item.receiver) == place and near.sum() >= loss.lost:
@@ -592,11 +591,9 @@ def unreachable(case: Case) -> Iterator[Verdict]:
 
     Name the endpoint, how many, and what the errors say.
     """
-    for item in case.unreached:
-        rows = item.lost.get(REFUSED)
-        if rows is None:
-            continue
-        endpoint, reasons = case.endpoints[item.endpoint], case.unreachable.refused
+    for item in (one for one in case.unreached if REFUSED in one.lost):
+        rows, reasons = item.lost[REFUSED], case.unreachable.refused
+        endpoint = case.endpoints[item.endpoint]
         numbers = distinct(reasons[(case.rows.destination == item.endpoint) & (reasons > 0)]).tolist()
         why = listed([error_text(reason) for reason in numbers])
         yield error(
