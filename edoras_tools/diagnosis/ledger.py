@@ -514,7 +514,9 @@ def _sent(case: Case, fate: Fate) -> LedgerWay:
     way.add_losses(losses, _ON_BUS)
     for item, number, refused in fate.refused:
         _refuse(way, item, number, refused)
-    came = 0 if fate.reached is None else fate.reached + fate.ends["unaccounted"] + fate.ends["elsewhere"]
+    came = int(fate.arrived.sum()) + fate.ends["passed_on"]
+    if fate.reached is not None:
+        came = fate.reached + fate.ends["unaccounted"] + fate.ends["elsewhere"]
     way.end("shared", max(0, min(fate.ends["shared"], way.left - came)))
     _behind_bus(case, fate, way)
     way.copies = _lost_copies(case, fate, doubled)

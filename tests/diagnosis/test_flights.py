@@ -406,6 +406,16 @@ def test_frames_that_the_capture_missed_at_random_add_no_loss(tmp_path, name, sh
     assert found.lost + found.unaccounted <= most
 
 
+@pytest.mark.parametrize("seed", [1, 7])
+def test_what_came_out_is_no_part_of_a_shared_loss(tmp_path, seed):
+    """The capture has half of the commands; those that a counter has besides are none that came out."""
+    chance = random.Random(seed)
+    items = mutations.frames(FOLDER / "refused_beside_a_limit.pcap.zst")
+    items = [item for item in items if not mutations.is_to(item.data, 1234) or chance.random() < 0.5]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert truth.sums(found.as_json()) == []
+
+
 def test_what_full_pipes_lost_proves_no_gap_that_nothing_explains(tmp_path):
     """62 gaps are of full pipes, and 8 single ones of frames that the capture missed."""
     items = mutations.frames(FOLDER / "bursts_to_a_peer.pcap.zst")
