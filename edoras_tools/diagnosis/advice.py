@@ -262,11 +262,7 @@ def capacity(case: Case, loss: Loss) -> str:
             return f"{hz:.0f} Hz got through here, {loss.offered_hz:.0f} Hz did not (measured)"
         keeps, origin = f"it keeps {{}} of one MsgId, and {who} hands over a burst", f" ({source})"
         limit, names, times = queue.usual_limit, (), case.rows.time_ns[_rows_of(loss)]
-        if (
-            loss.over_network
-            and not more_at_once(times, queue.round_ns, limit)
-            and not stood_still(case, loss)
-        ):
+        if loss.over_network and not (more_at_once(times, queue.round_ns, limit) or stood_still(case, loss)):
             every = f"{queue.round_ns / MILLISECOND:.0f} ms"
             return f"no more than {limit} came in {every}: its task reads late, or keeps fewer of one MsgId"
     rate = f" every {queue.round_ns / MILLISECOND:.0f} ms: {queue.rate_hz(limit):.0f} a second get through"

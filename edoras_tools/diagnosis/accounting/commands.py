@@ -567,9 +567,8 @@ class Commands:
             # Out of order, or with wrong times, it may be another one, sent a little sooner or later.
             times = fate.stream.time_ns
             late_ns = (np.maximum.accumulate(times[hop.in_rows]) - times[hop.in_rows]).max(initial=0)
-            loose_ns = max(
-                late_ns, self._case.unsteady_ns, _LATE_NS * self._case.is_far(fate.stream.receiver)
-            )
+            far_ns = _LATE_NS * self._case.is_far(fate.stream.receiver)
+            loose_ns = max(late_ns, self._case.unsteady_ns, far_ns)
             others = open_[~(fate.passed | fate.newer)[open_] & (loose_ns > 0)]
             spare = np.append(0, np.cumsum(room - np.bincount(behind[first], minlength=len(room))))
             ends = np.searchsorted(times[into], times[others] + loose_ns, "right") + 1
@@ -619,9 +618,8 @@ class Commands:
     def _without_fate(self, fate: Fate) -> int:
         """Return how many messages of a stream have no fate."""
         lost = sum(loss.lost for loss in self.losses if loss.stream is fate.stream)
-        others = sum(number for _, number, _ in fate.refused) + sum(
-            fate.ends[how] for how in ("queued", "crowded", "late")
-        )
+        others = sum(number for _, number, _ in fate.refused)
+        others += sum(fate.ends[how] for how in ("queued", "crowded", "late"))
         return max(0, len(fate.stream) - lost - others)
 
     def _number(self, fates: Sequence[Fate]) -> None:

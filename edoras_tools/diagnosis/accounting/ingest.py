@@ -356,8 +356,6 @@ class _Counted:
         A robot gets a command at once; on other ways the application and the link may keep it for a while.
         """
         self._arrived = np.sort(np.concatenate([sent for sent, _ in self._read])) if hops else None
-        self._has_output = bool(hops)
-        """Whether the way out is captured, which shows how long a command takes."""
         self._all_out = all(hop.out.link.last_hop for hop in hops)
         """Whether everything read comes out: on other ways newer messages may supersede older ones."""
         self._read_ns = _read_by(hops)
@@ -384,10 +382,10 @@ class _Counted:
         # What a slow network explains is neither a loss nor a copy.
         is_less = more >= min(account.not_captured, lost) - late.not_captured
         if is_less and (more == lost > 0 or late.not_captured < account.not_captured):
-            even = late if self._stood or self._has_output else self._of_steady_delay(account)
+            even = late if self._stood or self._arrived is not None else self._of_steady_delay(account)
             # How many waited when CI ended depends on the delay.
             waited = max(0, account.lost_by(*_OUTAGES) - late.lost_by(*_OUTAGES))
-            more = min(more, late.waiting) * (not self._has_output)  # under way, or lost
+            more = min(more, late.waiting) * (self._arrived is None)  # under way, or lost
             late = replace(late, waiting=late.waiting - more, unread=max(0, late.unread - more))
             late.unsure = account.unsure + waited + more
             return even if even.lost_by("network") and not even.not_captured else late

@@ -585,10 +585,9 @@ class Leftover:
             # Its wake-ups, one a second, fill the pipe while nobody reads it.
             end_ns = self._case.end_ns if outage.end_ns is None else outage.end_ns
             most = ceil((end_ns - outage.start_ns) / SECOND) - self._case.profile.app_msg_limit
-            own = [
-                at for at in self._counts if self._case.instances.systems[at] == outage.system and most > 0
-            ]
-            out += [Rival(outage, at, "limit", outage.start_ns, end_ns, most, fills=False) for at in own]
+            own = [at for at in self._counts if self._case.instances.systems[at] == outage.system]
+            when = outage.start_ns, end_ns
+            out += [Rival(outage, at, "limit", *when, most, fills=False) for at in own if most > 0]
         for at in self._counts:
             for each, fate, _ in self._unseen(at, "limit"):
                 for place, span in enumerate(each.spans):
