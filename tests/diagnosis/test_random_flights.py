@@ -20,6 +20,7 @@ from edoras_tools.cfs import command_ingest, edoras_app, telemetry_output
 from edoras_tools.cfs import executive_services as es
 from edoras_tools.cfs.profile import SimProfile
 from edoras_tools.cfs.queues import QueueEnd
+from edoras_tools.diagnosis.accounting.losses import Fate
 from edoras_tools.model import Endpoint, Peer
 from edoras_tools.pipelines.clocks import open_aligned
 from edoras_tools.pipelines.doctor import examine
@@ -194,6 +195,19 @@ def test_of_many_msg_ids_that_all_have_no_subscriber_each_is_told(number):
         0x1900 + at: [6000 + at * 40_000 // number + more for more in (0, 5, 10)] for at in range(number)
     }
     assert without_a_subscriber(sent_ms) == {f"0x{msg_id:04x}": 3 for msg_id in sent_ms}
+
+
+def test_what_nobody_took_is_summed_once_and_not_for_each_msg_id(monkeypatch):
+    asked, whole = Counter(), Fate.unsubscribed.fget
+
+    def unsubscribed(fate):
+        asked[fate.stream.msg_id] += 1
+        return whole(fate)
+
+    monkeypatch.setattr(Fate, "unsubscribed", property(unsubscribed))
+    without_a_subscriber({0x1900 + at: [6000 + at * 1000 + more for more in (0, 5, 10)] for at in range(40)})
+    assert len(asked) >= 40
+    assert max(asked.values()) <= 10
 
 
 @pytest.mark.parametrize(("scenario", "hertz"), [("rover", 20.0), ("arm", 30.0)])

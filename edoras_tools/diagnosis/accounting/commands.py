@@ -427,7 +427,8 @@ class Commands:
 
     def _alike(self, item: Verdict) -> Iterator[tuple[Fate, Mask]]:
         """Yield the streams that a refusal can be of, each with a mask of the messages in its span."""
-        for key in [key for key in self._spans if key[0] == item.link and item.msg_id in {None, key[1]}]:
+        every = [key for key in self._spans if key[0] == item.link] if item.msg_id is None else ()
+        for key in every or self._spans.keys() & {(item.link, item.msg_id)}:
             first_ns, last_ns = self._spans[key]
             for place in np.flatnonzero((first_ns <= item.end_ns) & (last_ns >= item.start_ns)).tolist():
                 fate = self._by_packet[key][place]
@@ -583,14 +584,15 @@ class Commands:
         from the address that they were sent to.
         """
         self._mark_silent_address([fate for fate in fates if fate.stream.link.only_to_cfs])
+        refused = sum(fate.unsubscribed for fate in fates)
         for fate in fates:
             if fate.undecidable is None and fate.stream.link.only_to_cfs:
-                self._mark_unsubscribed(fate)
+                self._mark_unsubscribed(fate, refused)
             if fate.undecidable is not None:
                 open_ = max(0, int((fate.open & fate.undecidable).sum()) - fate.followed)
                 fate.ends["unaccounted"] = min(open_, self._without_fate(fate))
 
-    def _mark_unsubscribed(self, fate: Fate) -> None:
+    def _mark_unsubscribed(self, fate: Fate, refused: int) -> None:
         case, sent_ns = self._case, fate.stream.time_ns
         if fate.seen or fate.stream.is_housekeeping:
             return
@@ -598,7 +600,7 @@ class Commands:
             grown, spread = track.beyond_steady("no_subscribers", sent_ns, TAIL_NS)
             inside = fate.open & (sent_ns >= track.times[0]) & (sent_ns < track.times[-1])
             more = int(grown[-1] - grown[max(0, np.searchsorted(track.times, sent_ns[0]) - 1)])
-            more -= sum(own.unsubscribed for own in self.fates.values())
+            more -= refused
             if 2 * more <= 3 * inside.sum() <= 3 * more and inside.sum() > spread:
                 fate.undecidable = fate.open.copy()
                 fate.undecidable_since = f"0x803: {more:,} more messages without a subscriber meanwhile"
