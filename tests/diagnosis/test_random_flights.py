@@ -249,6 +249,29 @@ def beside_a_second_peer(profile, hertz, state_hertz, *, send_hertz=0, wants=())
     return simulation, sorted(sent, key=lambda item: item.time_ns)
 
 
+@pytest.mark.parametrize("msg_ids", [(0x1829,), (0x1829, 0x182A)])
+def test_what_cfs_refuses_of_a_stranger_is_none_of_the_bridges_beside_it(msg_ids):
+    """Its states come at 30 Hz, of which many are lost; the stranger sends the same MsgIds from 10 s on."""
+    simulation = Simulation(
+        SimProfile(), "two-rovers", start_ns=START_NS, command_rate_hz=2.0, state_rate_hz=30.0
+    )
+    peer, own = SbnConnection(Peer(0x42, 9), (), now=START_NS), Endpoint(simulation.cfs.profile.address, 2299)
+    more = []
+    for at in range(40):
+        body = envelope.DEFAULT.emit(messages.twist(at / 9, 0.2))
+        for place, msg_id in enumerate(msg_ids):
+            when = START_NS + 10 * SECOND + (200 * at + 50 * place) * MILLISECOND
+            data = peer.frame(cfe.emit_command(msg_id, edoras_app.SET, body, sequence_flags=0))
+            more.append(WireDatagram(when, own, simulation.cfs.sbn_endpoint, data))
+    for item in more:
+        simulation.feed(item.time_ns, item.destination, item.payload)
+    sent = sorted([*simulation.run(START_NS + 40 * SECOND), *more], key=lambda item: item.time_ns)
+    rows = [row for row in examined(sent)["balance"] if (row["lost_by"] or {}).get("unknown_peer")]
+    assert [(row["msg_id"], row["in"], row["lost_by"]) for row in rows] == [
+        (f"0x{msg_id:04x}", 40, {"unknown_peer": 40}) for msg_id in msg_ids
+    ]
+
+
 @pytest.mark.each(2)
 @pytest.mark.parametrize("send_hertz", [4, 8])
 def test_what_comes_by_another_way_replaces_commands_too(send_hertz):

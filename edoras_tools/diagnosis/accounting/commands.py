@@ -467,11 +467,12 @@ class Commands:
         # A refusal that names one datagram is that one; a refusal of many in a span comes later.
         for item in sorted(refused, key=lambda item: item.end_ns - item.start_ns):
             rest = item.lost or 0
-            for fate, within in self._alike(item) if item.msg_id is None else ():
+            # The stream of another sender is one of which more came out.
+            every = sorted(self._alike(item), key=lambda own: own[0].arrived[own[1]].mean()) if rest else []
+            for fate, within in every if item.msg_id is None else ():
                 rest -= self._place(item, fate, np.flatnonzero(fate.open & within), rest)
-            first = next(self._alike(item), None) if rest and item.msg_id is not None else None
-            if first is not None:
-                fate, within = first
+            if every and item.msg_id is not None:
+                fate, within = every[0]
                 if within.sum() == 1 and item.confidence == "high":
                     self._swap_refused(fate, np.flatnonzero(within & fate.arrived))
                 rows = np.flatnonzero((fate.open | fate.blind) & within)
