@@ -904,13 +904,7 @@ class BeforeCi:
         if loss.cause in _OUTAGES:
             closed, may = self._case.unreachable.closed, self._open(fates, loss, loss.since_ns)
             rest = max(rest, sum(int((own & closed[fate.stream.rows]).sum()) for fate, own in may))
-            # CI reads in order: the latest of what waited when it ended is lost, and the first sent later.
-            sent_ns = self._case.rows.time_ns[account.rows]
-            sent_ns = sent_ns[(sent_ns > loss.since_ns) & (sent_ns <= loss.end_ns)]
-            waited = any(item.start_ns == loss.end_ns for item in account.losses)
-            lost_ns = sent_ns[-loss.lost :] if waited else sent_ns[: loss.lost]
-            until = replace(loss, end_ns=int(lost_ns.max(initial=0)))
-            surely = self._open(fates, until, int(lost_ns.min(initial=loss.end_ns)) - 1)
+            surely = self._in_outage(account, loss, fates)
             rest -= self._answered(surely)
         if loss.proof:
             surely = []
@@ -945,6 +939,16 @@ class BeforeCi:
             span = loss.start_ns, loss.end_ns
             hop = LOST_AT[loss.cause]
             self.losses.append(Loss(loss.cause, hop, rest, *span, "medium", evidence=evidence))
+
+    def _in_outage(self, account: Ingest, loss: IngestLoss, fates: Sequence[Fate]) -> list[_May]:
+        """Return which messages a CI lost that ended: it reads in order, so one end of what was sent."""
+        sent_ns = self._case.rows.time_ns[account.rows]
+        sent_ns = sent_ns[(sent_ns > loss.since_ns) & (sent_ns <= loss.end_ns)]
+        # The latest of what waited when it ended is lost, and the first sent later.
+        waited = any(item.start_ns == loss.end_ns for item in account.losses)
+        lost_ns = sent_ns[-loss.lost :] if waited else sent_ns[: loss.lost]
+        until = replace(loss, end_ns=int(lost_ns.max(initial=0)))
+        return self._open(fates, until, int(lost_ns.min(initial=loss.end_ns)) - 1)
 
     def _strange(self, account: Ingest, loss: IngestLoss) -> int:
         """Return how many datagrams of programs that are no bridges came to a CI while it lost some."""
