@@ -324,8 +324,11 @@ def quoted_rows(batch: PacketBatch, rows: Places) -> QuotedRows:
     return QuotedRows(datagrams, identification, closed, reason)
 
 
-NOT_JOINED: Final = (0x040B01, 0x060301)
-"""The reasons that not all fragments of a datagram came: errors that are sent long after it."""
+NOT_JOINED: Final = (0x040B01,)
+"""The reason that not all fragments of a datagram came: errors that are sent long after it.
+
+Those of ICMPv6 quote an extension header, and are not read.
+"""
 TOO_LONG: Final = (0x040304, 0x060200)
 """The reasons that the way carries no packets as long as the datagram's."""
 
