@@ -311,8 +311,8 @@ def _at_pipe(case: Case, loss: Loss) -> Advice:
 def _on_console(case: Case, loss: Loss) -> str:
     """Return the remedy for lost events: nobody spreads them, but cFS prints them, too."""
     apps = Counter(item.app for item in case.events_between(loss.start_ns, loss.end_ns))
-    who = "".join(f"; most that came are of {app}" for app, _ in apps.most_common(1))
-    return f"read them on cFS's console, where it prints all{who}"
+    who = "".join(f" (most that came are of {app})" for app, _ in apps.most_common(1))
+    return f"read them on cFS's console, which prints all{who}"
 
 
 def _safe(rate_hz: float) -> float:
