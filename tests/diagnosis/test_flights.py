@@ -2365,7 +2365,7 @@ def test_sbn_that_ended_without_a_command_is_named_though_a_command_restarts_it_
     assert found.unaccounted == 0
     text = first_screen(found)
     assert "while SBN did not run, 36.5 to 56.2 s" in text
-    assert "read them on cFS's console, which prints all; most that came are of SBN" in text
+    assert "read them on cFS's console, which prints all (most that came are of SBN)" in text
 
 
 def test_a_first_count_is_of_gaps_before_it_and_bounds_what_else_was_lost_then():
