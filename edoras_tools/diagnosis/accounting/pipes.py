@@ -471,6 +471,8 @@ class Leftover:
         self.uncaptured = Counter[int]()
         self._places: dict[tuple[object, ...], Loss] = {}
         self._came: dict[Stream, Integers] = {}
+        self._named: set[Stream | None] = set()
+        """The streams that were given counts of the events that name them."""
         self._stalls = [x for x in case.timeline.every("stalled") if x.change.subject.kind == "cfs"]
         self._at_others = frozenset(item for item in case.reported_losses if self._at_another(item))
 
@@ -545,11 +547,13 @@ class Leftover:
                 # They are among the messages that lack behind the pipe.
                 own = [claim for claim in self._pipes.claims if claim.flow == fate.stream]
                 hand_on(self._counts[item.instance], item.instance, at_pipe, claims, own)
+                self._named |= {fate.stream} if any(claim.explained for claim in claims) else set()
 
     def _lose_named(self, item: ReportedLoss, kind: PipeKind, whose: _Candidate) -> None:
         """Make losses of what events name, unless it may be of messages from before the capture."""
         for claim in (own for own in self._settled(item, kind, whose) if own.explained):
             times = claim.low_ns, claim.high_ns
+            self._named.add(whose.stream)
             self._make_loss(whose, whose.active(*times), (item.instance, kind), claim.explained, times)
 
     def _settled(self, item: ReportedLoss, kind: PipeKind, whose: _Candidate | None = None) -> list[Claim]:
@@ -787,7 +791,7 @@ class Leftover:
         # Datagrams wait in CI's socket.
         crowded = more_at_once(case.arriving(stream.receiver), case.profile.ci_wake_ns, reads)
         counted_ns = DRAINS_NS if late or full or crowded or not ingests else LATE_NS
-        own = sender, report, times, queue, counted_ns, is_read
+        own = sender, report, times, queue, counted_ns, stream in self._named
         return _Candidate(stream.msg_id, pipe, stream, stream, spans, since_ns, *own)
 
     def _fed(self, reported: ReportedLoss) -> Fate | None:
