@@ -467,7 +467,12 @@ class Case:
 
     @cached_property
     def incomplete_ns(self) -> dict[tuple[Endpoint, int], list[int]]:
-        """Sender and MsgId to the times, ns, of datagrams whose later fragments never came."""
+        """Sender and MsgId to the times, ns, of datagrams whose later fragments never came.
+
+        It is empty if the capture's clock was set: only the rows' times have no such step.
+        """
+        if any(item.clock == "capture" for item in self.jumps):
+            return {}
         start_of: dict[Endpoint, int] = {}
         for stream in self.streams if self.capture.lacking else ():
             ends = distinct(self.rows.source[stream.rows]) if not stream.link.only_to_cfs else ()
