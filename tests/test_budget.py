@@ -39,14 +39,14 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(55_967, 150, 58_000),
-    "lines with code, all": Limit(88_974, 150, 84_000),  # with what is still to come
-    "files": Limit(377, 10, 450),
+    "lines with code, core": Limit(55_950, 150, 58_000),
+    "lines with code, all": Limit(88_956, 150, 84_000),  # with what is still to come
+    "files": Limit(376, 10, 450),
     "files below 170 lines, of 1,000": Limit(247, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
-    "files that record runs through": Limit(81, 2, 80),
-    "files that sniff --where runs through": Limit(81, 2, 80),
-    "modules that host loads": Limit(34, 2, 40),
+    "files that record runs through": Limit(80, 2, 80),
+    "files that sniff --where runs through": Limit(80, 2, 80),
+    "modules that host loads": Limit(33, 2, 40),
     "bare participles among 1,000 names": Limit(0.7, 1, 3),
     "functions of complexity over 25": Limit(0, 0, 0),
 }
