@@ -342,8 +342,7 @@ def error_text(reason: int) -> str:
 
 def _form_of(data: bytes) -> ErrorForm:
     """Return the form of a complete error: that of the version of the IP packet that it quotes."""
-    (form,) = (form for form in FORMS if data[form.start(form.quoted[0])] >> 4 == form.version)
-    return form
+    return next(form for form in FORMS if data[form.start(form.quoted[0])] >> 4 == form.version)
 
 
 ICMP: Final = IcmpLink()

@@ -12,15 +12,7 @@ from typer import Argument, Exit, Option
 from edoras_tools.cli import options, recordings
 from edoras_tools.cli.main import Command, Group, command_group
 from edoras_tools.cli.options import grouped, headed, moment
-from edoras_tools.cli.output import (
-    INTERRUPTED,
-    end,
-    file_progress,
-    print_csv,
-    print_json,
-    print_view,
-    tell,
-)
+from edoras_tools.cli.output import INTERRUPTED, end, file_progress, print_csv, print_json, print_view, tell
 from edoras_tools.errors import ConfigError
 from edoras_tools.older import StrEnum
 from edoras_tools.words import plural

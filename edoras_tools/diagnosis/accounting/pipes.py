@@ -240,8 +240,8 @@ class Pipes:
         key = stream, kind, instance, cut
         if (loss := self._same.get(key)) is not None:
             loss.lost += number
-            if len(among.rows):
-                before = loss.among.rows if loss.among else among.rows[:0]
+            before = loss.among.rows if loss.among else among.rows[:0]
+            if len(among.rows) and not np.array_equal(before, among.rows):
                 loss.among = Among(stream, distinct(np.concatenate((before, among.rows))))
             return
         reported, report = self._from_events(stream, kind, instance)
@@ -551,10 +551,16 @@ class Leftover:
 
     def _lose_named(self, item: ReportedLoss, kind: PipeKind, whose: _Candidate) -> None:
         """Make losses of what events name, unless it may be of messages from before the capture."""
-        for claim in (own for own in self._settled(item, kind, whose) if own.explained):
-            times = claim.low_ns, claim.high_ns
+
+        def place(claim: Claim) -> tuple[range, int]:
+            ended = self._ended(item.instance, claim.low_ns, whose)
+            return whose.active(claim.low_ns, claim.high_ns), id(ended)
+
+        claims = (claim for claim in self._settled(item, kind, whose) if claim.explained)
+        for (spans, _), own in by_key(claims, place).items():
             self._named.add(whose.stream)
-            self._make_loss(whose, whose.active(*times), (item.instance, kind), claim.explained, times)
+            times = own[0].low_ns, own[-1].high_ns
+            self._make_loss(whose, spans, (item.instance, kind), sum(x.explained for x in own), times)
 
     def _settled(self, item: ReportedLoss, kind: PipeKind, whose: _Candidate | None = None) -> list[Claim]:
         """Return a claim a second for the events of one loss, settled."""

@@ -187,11 +187,7 @@ class _Capture:
 
 
 def _report(
-    messages: dict[str, int],
-    size: int,
-    losses: list[LostStretch],
-    reasons: list[str],
-    unit: str = "messages",
+    messages: dict[str, int], size: int, losses: list[LostStretch], reasons: list[str], unit: str = "messages"
 ) -> Recovery:
     """Return the report on a file of ``size`` bytes without checksums; whole if nothing is wrong with it."""
     whole, lost = not losses and not reasons, sum(item.bytes for item in losses)
