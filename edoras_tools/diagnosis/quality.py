@@ -207,8 +207,9 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         if each > 1 and runs <= FEW_RUNS:
             return number
         bounds = self.of_runs(each) if each > 1 else self
-        most = ceil(bounds.may_have_missed(ceil(size / each), confidence) * each)
-        return 0 if bounds.excludes(number / size) else min(number, most)
+        if bounds.excludes(number / size):
+            return 0
+        return min(number, ceil(bounds.may_have_missed(ceil(size / each), confidence) * each))
 
     def of_runs(self, size: float) -> Quality:
         """Return the bounds for runs of missing datagrams: a run has no neighbours whose numbers show it.
