@@ -75,6 +75,7 @@ FLIGHTS = {
     "sender_that_counts": (17, {"network": 17}),
     "refused_by_length": (42, {"bad_command": 42}),
     "sent_to_another_port": (36, {"port_closed": 36}),
+    "came_back_with_a_shorter_list": (77, {"limit": 66, "sbn_timeout": 11}),
     "unheard_on_a_losing_network": (
         374,
         {"network": 19, "no_subscriber": 305, "limit": 36, "after": 13, "unknown": 1},
@@ -2438,3 +2439,12 @@ def test_packets_without_the_header_of_sbn_are_no_peer(tmp_path):
     assert "send them to Command Ingest's port" in first_screen(found)
     rows = [row for row in found.balance if row.link == "sbn" and row.msg_id is None]
     assert sum(row.all_lost + row.uncertain for row in rows) == number > 9
+
+
+def test_a_peer_that_comes_back_with_a_shorter_list_is_named():
+    name = "came_back_with_a_shorter_list"
+    (found,) = (item for item in examined(name).verdicts if item.rule == "no_longer_wanted")
+    assert "66:3 connected anew at 21.8 s, and no longer subscribes to 0x08f2" in found.reason
+    assert found.reason in first_screen(examined(name))
+    # Where losses show it, these say it.
+    assert "no_longer_wanted" not in {item.rule for item in examined("unsubscribed").verdicts}

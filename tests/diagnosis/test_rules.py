@@ -573,6 +573,11 @@ def sbn_disconnected(lab, tmp_path, msg_id):
 
 
 @case
+def no_longer_wanted(lab, tmp_path, msg_id):
+    return lab.read(ROOT / "tests/captures/flights/came_back_with_a_shorter_list.pcap.zst")
+
+
+@case
 def bad_network_message(lab, tmp_path, msg_id):
     return lab.examine(lab.merged(lab.simulate("two-rovers")[0], lab.network(10, 0x07)))
 

@@ -267,7 +267,7 @@ def sbn_disconnected(case: Case) -> Iterator[Verdict]:
 
 
 def _unsubscribed(case: Case) -> Iterator[Verdict]:
-    """Name what a peer no longer wants: of what it got, or what else is here."""
+    """Name what a peer unsubscribed: of what it got, or what else is here."""
     msg_ids = {stream.msg_id for stream in case.streams}
     for span in case.timeline.every("unsubscribed"):
         owner, witness = span.change.subject, span.change.witness
@@ -281,6 +281,37 @@ def _unsubscribed(case: Case) -> Iterator[Verdict]:
                 place=("sbn", f"SBN peer {owner.name}"),
                 span=(span.start_lo, min(span.end_lo, case.end_ns)),
                 remedy="none, if it was to",
+            )
+
+
+def no_longer_wanted(case: Case) -> Iterator[Verdict]:
+    """A peer connects anew with a shorter list: what it got before, it gets no more.
+
+    Compare the lists of its connections, where no loss shows what that cost.
+    """
+    rows, peers = case.rows, case.network.identity_of
+    got_ns: dict[tuple[str, int], int] = {}
+    for item in case.streams:
+        got_ns.setdefault((peers.get(item.receiver, ""), item.msg_id), int(item.time_ns[0]))
+    lists = np.flatnonzero(rows.sbn_msg_type == sbn.MsgType.SUB)
+    lists_ns = {peers.get(at, ""): int(rows.time_ns[own[-1]]) for at, own in groups(rows.source, lists)}
+    lasting = [item for item in case.timeline.every("unsubscribed") if not item.end]
+    by_peer = by_key(
+        lasting, lambda item: (item.change.subject.kind, item.change.subject.name, item.start_lo)
+    )
+    for (kind, who, since_ns), own in by_peer.items():
+        ids = sorted(item.change.subject.msg_id for item in own)
+        names = [case.name(at) for at in ids if got_ns.get((who, at), since_ns) < since_ns]
+        lost = any(item.kind == "unsubscribed" and item.end_ns > since_ns for item in case.losses)
+        if kind == "subscription" and names and not lost and lists_ns.get(who, 0) > since_ns:
+            few = ", ".join(names[:3]) + (f" and {len(names) - 3} others" if len(names) > 3 else "")
+            yield warning(
+                f"SBN peer {who} connected anew at {case.at(since_ns)}, and no longer subscribes to {few}: "
+                "it gets none from then on",
+                own[0].change.witness,
+                place=("sbn", f"SBN peer {who}"),
+                span=(since_ns, case.end_ns),
+                remedy="compare the list that it is started with to the one before",
             )
 
 
