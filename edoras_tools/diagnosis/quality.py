@@ -279,9 +279,10 @@ def _between(time_ns: Integers, identification: NDArray[np.uint16]) -> tuple[int
     run = np.concatenate(([0], np.cumsum(np.diff(time_ns) >= _TICK_NS)))
     ahead = identification.astype(np.int64) - identification[np.flatnonzero(np.diff(run, prepend=-1))][run]
     ahead = (ahead + (1 << 15)) % (1 << 16) - (1 << 15)
-    # Packets of two senders on one host may overtake each other on the way to the tap.
-    order = np.argsort((run << 16) + ahead, kind="stable")
-    run, ahead, time_ns, odd = run[order], ahead[order], time_ns[order], identification[order] % 2 == 1
+    odd, key = identification % 2 == 1, (run << 16) + ahead
+    if (key[1:] < key[:-1]).any():  # packets of two senders on one host may overtake each other
+        order = np.argsort(key, kind="stable")
+        run, ahead, time_ns, odd = run[order], ahead[order], time_ns[order], odd[order]
     different = np.concatenate(([True], (np.diff(ahead) != 0) | (np.diff(run) != 0)))
     run, ahead, time_ns, odd = run[different], ahead[different], time_ns[different], odd[different]
 

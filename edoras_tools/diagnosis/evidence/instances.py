@@ -355,12 +355,13 @@ def _publishers(rows: Rows, members: Places, says: dict[int, str], hosts: NDArra
     places = hosts[rows.source[network[first]]]
     names = list(zip(places.tolist(), [str(peer_of(item)) for item in sender[first].tolist()], strict=True))
     # Telemetry Output sends packets of its own cFS, or forwards packets that crossed SBN before.
-    from_, ahead = handed_on(rows, network, output), handed_on(rows, output, network)
+    from_, nameless = handed_on(rows, network, output), output[~np.isin(rows.source[output], [*owner])]
+    ahead = handed_on(rows, nameless, network)
     crossed = np.flatnonzero(ahead >= 0)
     first, port = numbered(rows.source[output])
-    for source, own in by_value(rows.source[output[ahead[crossed]]]):
+    for source, own in by_value(rows.source[nameless[ahead[crossed]]]):
         # What it sent before that crossed SBN is of its own cFS.
-        owner.setdefault(source, names[np.bincount(who[crossed[own]]).argmax()][1])
+        owner[source] = names[np.bincount(who[crossed[own]]).argmax()][1]
     quickest = np.array([rows.delay_ns(network[who == at]).min() for at in range(len(names))])
     senders = []
     for source in rows.source[output[first]].tolist():

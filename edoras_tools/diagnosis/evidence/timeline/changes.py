@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
+from functools import cached_property
 from operator import attrgetter
 from typing import TYPE_CHECKING, Final
 
@@ -107,8 +108,7 @@ class SoftwareChanges(msgspec.Struct, dict=True):
             elif code == telemetry_output.ADD_PACKET:
                 # What is subscribed already keeps its limit.
                 text = f"Duplicate Subscription,MsgId 0x{command.entry:x} on {telemetry_output.PIPE} "
-                removals = self._payloads.outputs(telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL)
-                before = {item.entry for item in removals if item.time_ns < command.time_ns}
+                before = {item.entry for item in self._removals if item.time_ns < command.time_ns}
                 if before & {-1, command.entry} or not self._answered(command, text):
                     yield change(entry, "subscribed", self._limit(command))
             elif code == telemetry_output.REMOVE_PACKET:
@@ -120,6 +120,10 @@ class SoftwareChanges(msgspec.Struct, dict=True):
             yield change(route, "cut" if code == software_bus.DISABLE_ROUTE else "subscribed")
         elif command.msg_id == TIME_MSG_ID and code in time_services.SETS:
             yield self._clock(command, change(_CLOCK, "set"))
+
+    @cached_property
+    def _removals(self) -> Sequence[CommandRecord]:
+        return self._payloads.outputs(telemetry_output.REMOVE_PACKET, telemetry_output.REMOVE_ALL)
 
     def _answers(self, command: CommandRecord) -> Sequence[EventRecord]:
         """Return the events soon after a command."""
