@@ -1515,6 +1515,14 @@ def test_two_captures_of_a_far_link_are_one():
     assert not found.superseded
 
 
+def test_errors_that_two_captures_have_are_no_more_errors_of_their_host():
+    """A host that limits its errors would send more than twice as many."""
+    found = together("nobody_listens_flight", "nobody_listens_ground")
+    assert by_cause(found)["port_closed"] == 47
+    assert found.lost + found.uncertain == 52
+    assert not any(row.out for row in found.balance)
+
+
 def test_copies_by_a_network_hide_no_loss_between_two_captures():
     """The ground side has every command; some the flight side has twice."""
     found = together("short_breaks_ground", "short_breaks_flight")

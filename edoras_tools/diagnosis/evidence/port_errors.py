@@ -11,7 +11,7 @@ from edoras_tools.io.frames.linklayer import network_headers
 from edoras_tools.links.icmp import quoted_rows
 from edoras_tools.links.table import among
 from edoras_tools.model import OTHER, Columns, PacketBatch
-from edoras_tools.units import MILLISECOND
+from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays import of_bytes
 
 if TYPE_CHECKING:
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 
 _AGAIN_NS: Final = MILLISECOND
 """Equal errors within this time are one error that was captured twice."""
+_ELSEWHERE_NS: Final = 5 * SECOND
+"""The same if their host numbers them: a network doubled the error, or another host captured it, too."""
+_ADDRESSES: Final = 12
+"""What of an IP header each router changes stands before this byte."""
 
 
 class PortErrors(NamedTuple):
@@ -38,7 +42,8 @@ class PortErrors(NamedTuple):
         identification: i64 (n,), IP identification of the quoted datagram; 0 if it has none.
         closed: bool (n,), whether the receiver's host reports that nobody listens on the port.
         reason: i64 (n,), what the error says; ``error_text`` of the link has its text.
-        print: i64 (n,), fingerprint of the error's own IP packet.
+        number: i64 (n,), IP identification of the error itself; 0 if it has none.
+        print: i64 (n,), fingerprint of the error from the addresses on.
     """
 
     time_ns: Integers
@@ -47,6 +52,7 @@ class PortErrors(NamedTuple):
     identification: Integers
     closed: Mask
     reason: Integers
+    number: Integers
     print: Integers
 
     def take(self, rows: Places | Mask) -> PortErrors:
@@ -65,7 +71,7 @@ class ErrorRecorder:
     def __init__(self, numbers: Numbers) -> None:
         self._numbers = numbers
         self._ways = self._seen = none = np.zeros(0, np.int64)
-        self._errors = [PortErrors(none, none, none, none, none.astype(bool), none, none)]
+        self._errors = [PortErrors(none, none, none, none, none.astype(bool), none, none, none)]
         self._voices: list[tuple[NDArray[Any], ...]] = [(none, none, none)]
 
     def about(self, batch: PacketBatch, columns: Columns) -> Mask:
@@ -96,20 +102,23 @@ class ErrorRecorder:
         if not error.any():
             return
         own, quoted = batch.take(error), quoted_rows(batch, np.flatnonzero(error))
-        network = network_headers(own)[0]
-        message = of_bytes(own.data, network, own.frame_offset + own.frame_length - network)
+        network, number, _ = network_headers(own)
+        inner = network + _ADDRESSES
+        message = of_bytes(own.data, inner, own.frame_offset + own.frame_length - inner)
         source, destination = (item.astype(np.int64) for item in self._numbers(quoted.datagrams))
         identification = quoted.identification.astype(np.int64)
-        prints, why = message.view(np.int64), (quoted.closed, quoted.reason)
-        self._errors.append(PortErrors(own.time_ns, source, destination, identification, *why, prints))
+        rest = quoted.closed, quoted.reason, number.astype(np.int64), message.view(np.int64)
+        self._errors.append(PortErrors(own.time_ns, source, destination, identification, *rest))
 
     def errors(self) -> PortErrors:
         """Return the errors, each once, in order of time."""
         columns: list[NDArray[Any]] = [np.concatenate(parts) for parts in zip(*self._errors, strict=True)]
         every = PortErrors(*columns)
-        every = every.take(np.lexsort((every.time_ns, every.print)))
+        every = every.take(np.lexsort((every.time_ns, every.number, every.print)))
+        within_ns = np.where(every.number[1:] > 0, _ELSEWHERE_NS, _AGAIN_NS)
         again = np.zeros(len(every.print), bool)
-        again[1:] = (np.diff(every.print) == 0) & (np.diff(every.time_ns) < _AGAIN_NS)
+        same = (np.diff(every.print) == 0) & (np.diff(every.number) == 0)
+        again[1:] = same & (np.diff(every.time_ns) < within_ns)
         every = every.take(~again)
         return every.take(np.argsort(every.time_ns, kind="stable"))
 

@@ -36,8 +36,9 @@ class Errors:
         time_ns, receiver, identification, closed = columns
         source = np.full(len(errors), SENDER)
         reason = np.full(len(errors), reason)
-        prints = np.arange(len(errors))
-        self.all = PortErrors(time_ns, source, receiver, identification, closed.astype(bool), reason, prints)
+        own = np.arange(len(errors))
+        rest = closed.astype(bool), reason, own, own
+        self.all = PortErrors(time_ns, source, receiver, identification, *rest)
         self.spoke = np.array(voices, np.int64), np.full(len(voices), ROBOT)
 
     def errors(self):
