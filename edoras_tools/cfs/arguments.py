@@ -58,6 +58,11 @@ _SECONDS: Final = _number("seconds", 32, "whole seconds")
 _TIME: Final = (_SECONDS, _number("microseconds", 32, "0 to 999,999"))
 _RATE: Final = (_SECONDS, _number("subseconds", 32, "1/2^32 s"))
 _STREAM: Final = _hex("stream", 32, "MsgId; its second half is a packet size in old builds")
+_ENTRY: Final = (
+    _number("priority", 8, "quality of service", low=0, high=1),
+    _number("reliability", 8, "quality of service", low=0, high=1),
+    _number("limit", 8, "messages of it that may wait"),
+)
 _ROUTE: Final = (_hex("msg_id", 32, "MsgId"), _hex("pipe_id", 32, "as the routing file has it"), _SPARE)
 _PERF: Final = (_number("mask_number", 32, "which 32 markers, from 0"), _hex("mask", 32, "a bit a marker"))
 _NET: Final = _number("net", 8, "place of the network in SBN's table")
@@ -161,13 +166,7 @@ _FIELDS: Final[Mapping[int, Mapping[str, tuple[Field, ...]]]] = {
         "SET_SIGNAL": (_number("signal", 16, "tone", primary=1, redundant=2),),
     },
     telemetry_output.COMMAND_MSG_ID: {
-        "ADD_PKT": (
-            _STREAM,
-            _number("priority", 8, "quality of service", low=0, high=1),
-            _number("reliability", 8, "quality of service", low=0, high=1),
-            _number("limit", 8, "messages of it that may wait"),
-            _SPARE,
-        ),
+        "ADD_PKT": (_STREAM, *_ENTRY, _SPARE),
         "REMOVE_PKT": (_STREAM,),
         "ENABLE_OUTPUT": (_text("address", 16, "IPv4 address that telemetry goes to"),),
     },
@@ -289,6 +288,10 @@ ARGUMENTS: Final[Mapping[tuple[int, int], Layout]] = _layouts()
 
 A layout's title is the application's name for the command. A layout of no bytes is a bare header.
 """
+_WITH_SIZE: Final = Layout(
+    "to_add_pkt", "ADD_PKT", _STREAM, _SPARE_WORD, *_ENTRY, _SPARE, _SPARE_WORD, byte_order="little"
+)
+"""Arguments of TO_LAB up to v2.5.0-rc4: with a packet size, which it does not use."""
 APPLICATIONS: Final[Mapping[int, str]] = {
     executive_services.COMMAND_MSG_ID: executive_services.NAME,
     EVS_MSG_ID: event_services.NAME,
@@ -332,6 +335,7 @@ def arguments_of(
     if (msg_id, function_code) not in CHANGES:
         return None
     layout = ARGUMENTS[msg_id, function_code]
+    layout = _WITH_SIZE if layout.title == _WITH_SIZE.title and len(payload) == _WITH_SIZE.size else layout
     layout = layout.big if big_endian else layout
 
     def is_there(slot: Slot) -> bool:

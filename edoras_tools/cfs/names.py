@@ -122,7 +122,7 @@ COMMANDS: Final[dict[int, dict[int, Command]]] = {
     ),
     0x1880: _commands(
         "NOOP RESET_COUNTERS ADD_PKT SEND_DATA_TYPES REMOVE_PKT REMOVE_ALL ENABLE_OUTPUT",
-        ADD_PKT=(16,),
+        ADD_PKT=(16, 20),
         SEND_DATA_TYPES=(8,),
         REMOVE_PKT=(12,),
         REMOVE_ALL=(8,),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -72,6 +74,11 @@ def test_names_and_lengths_are_those_of_the_table_of_commands():
 )
 def test_a_command_in_words(msg_id, code, values, text):
     assert command_text(msg_id, code, values) == text
+
+
+def test_an_entry_with_a_packet_size_has_its_limit_behind_that():
+    sized = arguments_of(0x1880, 2, struct.pack("<IHBBB3x", 0x827, 116, 0, 1, 12))
+    assert sized == {"stream": 0x827, "priority": 0, "reliability": 1, "limit": 12}
 
 
 @given(st.sampled_from(sorted(ARGUMENTS)), st.binary(max_size=160), st.booleans())

@@ -176,6 +176,7 @@ FLIGHTS = {
     "hole_beside_a_dead_peer": (492, {"limit": 282, "sbn_peer_restart": 210}),
     "poses_doubled_and_delayed": (51, {"limit": 51}),
     "takes_45_ms_for_each": (111, {"limit": 111}),
+    "queues_of_twenty": (171, {"limit": 4, "overflow": 167}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
