@@ -177,6 +177,7 @@ FLIGHTS = {
     "poses_doubled_and_delayed": (51, {"limit": 51}),
     "takes_45_ms_for_each": (111, {"limit": 111}),
     "queues_of_twenty": (171, {"limit": 4, "overflow": 167}),
+    "two_stations_in_turn": (74, {"limit": 64, "unknown": 10}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
 RANGES = {
@@ -1514,6 +1515,12 @@ def test_two_captures_of_a_far_link_are_one():
     found = together("far_link_ground", "far_link_flight")
     assert by_cause(found) == {"network": 10}
     assert not found.superseded
+
+
+def test_what_another_station_got_is_not_lost_at_a_full_pipe():
+    """Housekeeping of once a second is over no limit of a Telemetry Output that reads its pipe."""
+    own = [row for row in examined("two_stations_in_turn").balance if row.lost]
+    assert {row.msg_id for row in own} == {0x8F1, None}
 
 
 def test_errors_that_two_captures_have_are_no_more_errors_of_their_host():

@@ -269,7 +269,7 @@ class Telemetry:
         for index in np.flatnonzero(closed).tolist():
             part, own = self._closed_part(stream, owner, gaps, index)
             part.silenced, part.unexplained = bool(silenced[index]), bool(unexplained[index])
-            self._claim_closed(part, own, gaps)
+            self._claim_closed(part, own, gaps.take(~closed))
         gaps, spans = gaps.take(~closed), stream.spans
         which = np.searchsorted([item.first for item in spans], gaps.at, "right") - 1
         for index in np.unique(which).tolist():
@@ -386,13 +386,13 @@ class Telemetry:
         """Return how many messages of a closed part the bus can have counted at the pipe."""
         stream, span = part.stream, part.span
         before, behind = self._case.rows.source[stream.rows[[span.first, span.last]]]
-        if part.silenced or before != behind:  # Telemetry Output did not read its pipe, and some waited in it
+        if before != behind:  # Telemetry Output did not read its pipe, and some waited in it
             waited = queues.telemetry_pipe(self._case.profile).limit(stream.msg_id)
             full = self._grown(part, COUNTERS["overflow"])
             return part.missing if full else max(0, part.missing - waited)
         # Removed from TO's table and added again: it lost messages at its limit if it did so around that,
         # too.
-        near = (gaps.at != span.first) & (np.abs(gaps.at - span.first) <= _AROUND)
+        near = np.abs(gaps.at - span.first) <= _AROUND
         return part.missing if near.any() else 0
 
     def _cause(self, part: Part) -> tuple[LossKind, str, str] | None:
