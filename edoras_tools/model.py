@@ -669,6 +669,8 @@ class SourceStatistics(msgspec.Struct):
         shared: datagrams left out because another capture, read together with this one, has them.
         astray: for each datagram that did not reach the place of another capture on its way, which is read
             together with this one: time (ns since 1970), fingerprint, and whether this is certain.
+        begins: of conversations that the capture which begins first lacks: both endpoints, and the time, ns
+            since 1970, at which the first capture that has it begins.
     """
 
     frames: int = 0
@@ -684,6 +686,7 @@ class SourceStatistics(msgspec.Struct):
     cut: list[CutDatagram] = msgspec.field(default_factory=list)
     shared: int = 0
     astray: list[tuple[int, int, bool]] = msgspec.field(default_factory=list)
+    begins: list[tuple[Endpoint, Endpoint, int]] = msgspec.field(default_factory=list)
 
     @property
     def ended(self) -> bool:

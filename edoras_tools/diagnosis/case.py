@@ -126,6 +126,8 @@ class Capture(msgspec.Struct, frozen=True):
         shared: number of datagrams left out because another capture, read beside this one, has them.
         astray: time in ns, fingerprint and certainty of each datagram that did not reach the place of the
             next capture on its path.
+        begins: time at which the first capture with a conversation, by source and destination, begins, ns; of
+            those that begin after another capture.
     """
 
     drops: int | None = None
@@ -139,6 +141,7 @@ class Capture(msgspec.Struct, frozen=True):
     lacking: tuple[CutDatagram, ...] = ()
     shared: int = 0
     astray: tuple[tuple[int, int, bool], ...] = ()
+    begins: Mapping[tuple[Endpoint, Endpoint], int] = {}
 
     def evidence_of(self, link: Link, kind: type[OfLink]) -> OfLink | None:
         """Return a link's evidence, else its unwrapper, if it is an instance of ``kind``; else None."""
@@ -530,6 +533,12 @@ class Case:
     def all_holes(self) -> list[tuple[int, int]]:
         """Spans (start, end), ns, without any datagram, for whatever reason."""
         return sorted([*self.away, *self.possible_holes])
+
+    def blind_spans(self, hops: Sequence[Hop]) -> list[tuple[int, int]]:
+        """Return spans (start, end), ns, in which the capture cannot show what leaves by some hops."""
+        ways = ((self.endpoints[hop.out.sender], self.endpoints[hop.out.receiver]) for hop in hops)
+        late_ns = (self.capture.begins.get(way, 0) for way in ways)
+        return [*self.all_holes, (0, max(late_ns, default=0))]
 
     def overlaps_outage(self, starts: Integers, ends: Integers) -> Mask:
         """Return which spans overlap a time in which the capture could not record: bool (n,)."""

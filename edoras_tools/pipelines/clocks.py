@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Final
 
@@ -26,7 +26,7 @@ from edoras_tools.wire.cfe import RESET_LOG
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from edoras_tools.model import HostCounters, PacketBatch
+    from edoras_tools.model import Endpoint, HostCounters, PacketBatch
     from edoras_tools.pipelines.workbench import Settings
     from edoras_tools.render.terminal.text import Progress
     from edoras_tools.sessions.faults.rules import Fault
@@ -53,7 +53,7 @@ class Aligned(SourceOver):
     def faults(self) -> list[Fault]:
         """Return the faults that were injected, with corrected times."""
         faults = super().faults()
-        times = self._set_back(np.array([fault.time_ns for fault in faults], np.int64))
+        times = _set_back(self._lines, np.array([fault.time_ns for fault in faults], np.int64))
         return [fault._replace(time_ns=at) for fault, at in zip(faults, times.tolist(), strict=True)]
 
     def narrow(self, period: Callable[[int], tuple[int, int]]) -> None:
@@ -62,13 +62,8 @@ class Aligned(SourceOver):
     def batches(self) -> Iterator[PacketBatch]:
         """Yield the remaining datagrams, with corrected times."""
         for batch in self._source.batches():
-            moved = replace(batch, time_ns=self._set_back(batch.time_ns))
+            moved = replace(batch, time_ns=_set_back(self._lines, batch.time_ns))
             yield moved.take(~np.isin(batch.number, self._left_out)) if len(self._left_out) else moved
-
-    def _set_back(self, time_ns: Integers) -> Integers:
-        for line in self._lines:
-            time_ns = line.set_back(time_ns)
-        return time_ns
 
 
 class OneByOne(MergedSource):
@@ -161,16 +156,38 @@ def open_aligned(
             (to, at), alignment.lost_between(tables[to], table, shift), strict=True
         ):
             rows = tables[side].rows.take(places)
-            for line in set_back[side]:
-                rows = replace(rows, time_ns=line.set_back(rows.time_ns))
-            own = zip(rows.time_ns.tolist(), rows.bytes_print.tolist(), strict=True)
+            times_ns = _set_back(set_back[side], rows.time_ns).tolist()
+            own = zip(times_ns, rows.bytes_print.tolist(), strict=True)
             astray += [(when, value, sure) for when, value in own]
         if not is_one_clock:
             some = f"; {len(shift.shared):,} datagrams are in both, counted once" if len(shift.shared) else ""
             notes.append(f"{path}: its clock is {shift.sentence(str(paths[to]))}{some}")
     sources[0].statistics.astray += astray
+    sources[0].statistics.begins += _begins({at: tables[at] for at in set_back}, set_back)
     merged = merge_sources([sources[at] for at in sorted(sources)])
     return OneByOne([merged, *alone]) if alone else merged, notes
+
+
+def _set_back(lines: Sequence[ClockLine], time_ns: Integers) -> Integers:
+    for line in lines:
+        time_ns = line.set_back(time_ns)
+    return time_ns
+
+
+def _begins(
+    tables: Mapping[int, alignment.Side], set_back: Mapping[int, list[ClockLine]]
+) -> Iterator[tuple[Endpoint, Endpoint, int]]:
+    """Yield the conversations that begin with a later capture, and when that begins, ns.
+
+    A capture that ended by then may have been continued by that one: it would have had the conversation, too.
+    """
+    spans = {at: _set_back(set_back[at], np.array(table.span)).tolist() for at, table in tables.items()}
+    for way in set[tuple["Endpoint", "Endpoint"]]().union(*(table.ways for table in tables.values())):
+        begin_ns = min(spans[at][0] for at, table in tables.items() if way in table.ways)
+        for start_ns, end_ns in sorted(spans.values(), reverse=True):
+            begin_ns = min(begin_ns, start_ns) if end_ns <= begin_ns else begin_ns
+        if begin_ns > min(spans.values())[0]:
+            yield *way, begin_ns
 
 
 def _nearest(

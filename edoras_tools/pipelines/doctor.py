@@ -328,6 +328,7 @@ def examine(
             lacking=tuple(statistics.cut),
             shared=statistics.shared,
             astray=tuple(statistics.astray),
+            begins={(source, to): time_ns for source, to, time_ns in statistics.begins},
         )
         diagnosis, choice = examination.diagnose(capture, ends=ends), choices.choice()
         return diagnosis.limited(choice) if choice else diagnosis

@@ -240,7 +240,11 @@ def by_cause(found):
 
 def together(*names):
     """The diagnosis of captures of both hosts as one."""
-    source, _ = open_aligned([FOLDER / f"{name}.pcap.zst" for name in names], Settings([]))
+    return aligned([FOLDER / f"{name}.pcap.zst" for name in names])
+
+
+def aligned(paths):
+    source, _ = open_aligned(paths, Settings([]))
     return examine(source, Settings([]).workbench(source.info)).diagnosis
 
 
@@ -1515,6 +1519,27 @@ def test_two_captures_of_a_far_link_are_one():
     found = together("far_link_ground", "far_link_flight")
     assert by_cause(found) == {"network": 10}
     assert not found.superseded
+
+
+def test_what_came_out_before_the_capture_of_the_robot_began_is_not_lost(tmp_path):
+    """The ports of one host, each captured by itself: the robot's later than the others."""
+    items = mutations.frames(FOLDER / "stood_still_when_idle.pcap.zst")
+    robot = [item for item in items if mutations.is_to(item.data, 8585)]
+    rest = [item for item in items if not mutations.is_to(item.data, 8585)]
+    whole = aligned([mutations.write(tmp_path / f"{len(some)}.pcap", some) for some in (rest, robot)])
+    late = [mutations.write(tmp_path / "late.pcap", robot[len(robot) // 2 :]), tmp_path / f"{len(rest)}.pcap"]
+    found = aligned(late)
+    assert by_cause(whole) == by_cause(found) == {"limit": 13}
+    assert found.uncertain >= len(robot) // 2
+
+
+def test_what_came_out_before_the_capture_of_the_flight_side_began_is_not_lost(tmp_path):
+    ground, flight = (FOLDER / f"one_of_two_counts_{side}.pcap.zst" for side in ("ground", "flight"))
+    assert by_cause(aligned([ground, flight])) == {"network": 25, "after": 32}
+    late = mutations.part(0.4, 1)(mutations.frames(flight), random.Random(1))
+    found = aligned([mutations.write(tmp_path / "late.pcap", late), ground])
+    assert by_cause(found)["network"] == 25
+    assert not found.unaccounted
 
 
 def test_what_another_station_got_is_not_lost_at_a_full_pipe():

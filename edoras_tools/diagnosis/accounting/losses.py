@@ -364,7 +364,7 @@ def follow(case: Case, stream: Stream) -> Fate:
     waits = open_ & (times > since_ns) & ~case.unreachable.closed[stream.rows] & bool(hops)
     # A message that may have come out while nothing was captured is ``unseen``.
     leaving_ns = _leaving(hops, times, delay)
-    unseen = overlapping(*leaving_ns, case.all_holes) & open_ & bool(hops)
+    unseen = overlapping(*leaving_ns, case.blind_spans(hops)) & open_ & bool(hops)
     waits |= unseen & case.overlaps_outage(*leaving_ns)
     blind, newer = ~followed & ~arrived & bool(hops), may_give_way(case, hops, open_, times)
     return Fate(stream, hops, arrived, newer, open_ & ~waits, waits, blind, unseen)

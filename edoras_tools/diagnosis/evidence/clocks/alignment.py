@@ -99,11 +99,15 @@ class Side:
         return Instances(self.rows, self.events, self.endpoints)
 
     @cached_property
+    def ways(self) -> set[tuple[Endpoint, Endpoint]]:
+        """Source and destination of every conversation."""
+        ways = np.unique(self.rows.way()).tolist()
+        return {(self.endpoints[way >> 32], self.endpoints[way & 0xFFFFFFFF]) for way in ways}
+
+    @property
     def local(self) -> set[tuple[Endpoint, Endpoint]]:
         """Source and destination of every conversation on loopback."""
-        ways = np.unique(self.rows.way()).tolist()
-        both = ((self.endpoints[way >> 32], self.endpoints[way & 0xFFFFFFFF]) for way in ways)
-        return {way for way in both if way[0].address.startswith(("127.", "::1"))}
+        return {way for way in self.ways if way[0].address.startswith(("127.", "::1"))}
 
     @cached_property
     def span(self) -> tuple[int, int]:
