@@ -59,7 +59,7 @@ from edoras_tools.units import MILLISECOND, SECOND
 from edoras_tools.wire.arrays import by_key, by_value, distinct, groups, numbered, places_within
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -215,13 +215,15 @@ class Quality(msgspec.Struct, frozen=True, dict=True):
         """Return the bounds for runs of missing datagrams: a run has no neighbours whose numbers show it.
 
         Telemetry comes in rounds: a run takes as many of what sequence counts check as it takes others.
+        Inputs show only missing ones: a run may take what was made of them too.
 
         Args:
             size: number of datagrams of each run.
         """
         sizes = {"identifications": inf, "sequence_counts": size}
         each = ((kind, who, sizes.get(kind, 1), *both) for (who, kind), both in self.sums.items())
-        return Quality(tuple(Evidence(kind, who, ceil(k / of), ceil(m / of)) for kind, who, of, k, m in each))
+        parts = (Evidence(kind, who, ceil(k / of), ceil(m / of)) for kind, who, of, k, m in each)
+        return Quality(tuple(item for item in parts if item.missing or item.kind != "inputs"))
 
     @property
     def longest_run(self) -> int:
@@ -435,16 +437,18 @@ def overlapping(start_ns: Integers, end_ns: Integers, holes: Sequence[tuple[int,
     return out
 
 
-def least_runs(case: Case, streams: Sequence[Stream]) -> int:
-    """Return how few runs of missing frames can have caused all gaps of some streams.
+def least_runs(case: Case, numbers: Mapping[Stream, int]) -> int:
+    """Return how few runs of missing frames can have caused all gaps of some streams, but for holes.
 
-    Up to ``_MOST_RUNS`` are looked for; what these leave open counts as one run each.
+    Up to ``_MOST_RUNS`` are looked for; what these leave open counts as one run each. A stream with as many
+    gaps of other causes as the ``numbers`` to explain does not show the runs.
     A run lies between two captured frames, so it can be in all gaps that contain both. A sender goes on in a
     gap: it sends in each round of Telemetry Output, or as evenly as the number of missing messages allows.
     """
     round_ns, times, spans = case.profile.to_wake_ns, case.rows.time_ns, [np.zeros((2, 0), np.int64)]
-    for stream in streams:
-        at = np.flatnonzero(stream.missing[:-1])
+    for stream, number in numbers.items():
+        missing = stream.missing[:-1] * ~overlapping(stream.time_ns[:-1], stream.time_ns[1:], case.all_holes)
+        at = np.flatnonzero(missing * (2 * number > missing.sum()))
         start, end = stream.time_ns[at], stream.time_ns[at + 1]
         points = np.minimum(stream.missing[at], (end - start) // round_ns + 1)
         of = np.repeat(np.arange(len(at)), points)

@@ -413,6 +413,21 @@ def test_frames_that_the_capture_missed_at_random_add_no_loss(tmp_path, name, sh
     assert found.lost + found.unaccounted <= most
 
 
+@pytest.mark.parametrize(
+    ("name", "runs", "seed"),
+    [
+        ("delay_comes_and_goes", 20, "flights/delay_comes_and_goesrun201"),  # eight of them make holes
+        ("every_datagram_twice_flight", 20, "flights/every_datagram_twice_flightrun202"),
+        ("entry_removed_and_added", 6, "flights/entry_removed_and_addedrun62"),  # with commands and outputs
+    ],
+)
+def test_runs_of_frames_that_the_capture_missed_add_no_loss(tmp_path, name, runs, seed):
+    items = mutations.frames(FOLDER / f"{name}.pcap.zst")
+    items = mutations.without_runs(runs)(items, random.Random(seed))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert found.lost + found.unaccounted <= FLIGHTS[name][0]
+
+
 @pytest.mark.parametrize("seed", [1, 7])
 def test_what_came_out_is_no_part_of_a_shared_loss(tmp_path, seed):
     """The capture has half of the commands; those that a counter has besides are none that came out."""

@@ -102,10 +102,12 @@ def runs_of(captured_s, *streams):
     """Return the least number of runs for streams, each of times and the missing messages behind each."""
     times = np.array(captured_s) * SECOND
     case = SimpleNamespace(
-        rows=SimpleNamespace(time_ns=times), profile=SimpleNamespace(to_wake_ns=SECOND // 2)
+        rows=SimpleNamespace(time_ns=times),
+        profile=SimpleNamespace(to_wake_ns=SECOND // 2),
+        all_holes=[],
     )
-    parts = [(np.array(own) * SECOND, np.array(missing)) for own, missing in streams]
-    return least_runs(case, [SimpleNamespace(time_ns=own, missing=missing) for own, missing in parts])
+    gappy = [Gappy(missing, np.array(own) * SECOND) for own, missing in streams]
+    return least_runs(case, {item: int(item.missing.sum()) for item in gappy})
 
 
 def test_gaps_of_several_streams_at_one_time_are_one_run():
@@ -131,12 +133,13 @@ def test_a_number_of_messages_is_taken_by_the_runs_that_take_most():
 
 
 class Gappy:
-    """A stream with a message each second, and gaps."""
+    """A stream with gaps, and a message each second if no times are named."""
 
     counted, link = True, SimpleNamespace(only_to_cfs=False)
 
-    def __init__(self, missing):
-        self.missing, self.time_ns = np.array(missing), np.arange(len(missing)) * SECOND
+    def __init__(self, missing, time_ns=None):
+        self.missing = np.array(missing)
+        self.time_ns = np.arange(len(missing)) * SECOND if time_ns is None else time_ns
 
     def __len__(self):
         return len(self.missing)
@@ -144,11 +147,20 @@ class Gappy:
 
 def test_a_stream_with_more_gaps_of_other_causes_does_not_show_the_runs():
     once, often = Gappy([0] * 50 + [9] + [0] * 49), Gappy([1] * 99 + [0])
-    case = SimpleNamespace(streams=[once, often], confidence=0.999, frames=lambda _: 1)
+    case = SimpleNamespace(streams=[once, often], confidence=0.999, frames=lambda _: 1, all_holes=[])
     case.rows, case.profile = SimpleNamespace(time_ns=once.time_ns), SimpleNamespace(to_wake_ns=SECOND // 2)
-    case.quality = Quality((Evidence("inputs", 0, 3000, 0),))
+    case.quality = Quality((Evidence("periods", 0, 3000, 0),))
     assert dict(_missed(case, {once: [9], often: [1]})) == {once: [9], often: [1]}
     assert dict(_missed(case, {often: [1]})) == {}
+
+
+def test_a_hole_is_none_of_the_runs_and_hides_none():
+    stream = Gappy([0] * 5 + [9] + [0] * 9 + [1] + [0] * 9 + [1] + [0] * 4)
+    case = SimpleNamespace(rows=SimpleNamespace(time_ns=stream.time_ns), all_holes=[])
+    case.profile = SimpleNamespace(to_wake_ns=SECOND // 2)
+    assert least_runs(case, {stream: 2}) == 0  # 9 of 11 have another cause
+    case.all_holes = [(5 * SECOND, 6 * SECOND)]
+    assert least_runs(case, {stream: 2}) == 2
 
 
 def test_what_is_missing_in_runs_is_not_bounded_by_its_neighbours():
@@ -157,6 +169,13 @@ def test_what_is_missing_in_runs_is_not_bounded_by_its_neighbours():
     assert not alone.of_runs(1).excludes(0.1)
     both = Quality((*alone.evidence, Evidence("periods", 0, 100, 0)))
     assert both.of_runs(5).excludes(0.1)
+
+
+def test_a_run_may_take_inputs_with_what_was_made_of_them():
+    inputs = Quality((Evidence("inputs", 0, 400, 0),))
+    assert inputs.excludes(0.1)
+    assert not inputs.of_runs(5).excludes(0.1)
+    assert Quality((Evidence("inputs", 0, 400, 3),)).of_runs(5).lacks_answered
 
 
 def test_a_run_takes_as_many_of_the_datagrams_that_sequence_counts_check():

@@ -49,6 +49,19 @@ def removed(share: float) -> Change:
     return lambda items, chance: [item for item in items if chance.random() >= share]
 
 
+def without_runs(number: int, length: int = 12) -> Change:
+    """Leave out runs of frames anywhere, as a capture does whose buffer is full."""
+
+    def change(items, chance):
+        gone: set[int] = set()
+        for _ in range(number):
+            first = chance.randrange(max(1, len(items) - length))
+            gone.update(range(first, first + length))
+        return [item for at, item in enumerate(items) if at not in gone]
+
+    return change
+
+
 def doubled(share: float) -> Change:
     """Put a share of the frames in twice: same bytes, IP identification and time."""
     return lambda items, chance: [one for item in items for one in [item] * (1 + (chance.random() < share))]
@@ -204,6 +217,8 @@ CHANGES: dict[str, Change] = {
     "1 % removed": removed(0.01),
     "5 % removed": removed(0.05),
     "30 % removed": removed(0.3),
+    "3 runs removed": without_runs(3),
+    "20 runs removed": without_runs(20),
     "1 % doubled": doubled(0.01),
     "5 % doubled": doubled(0.05),
     "5 % doubled 40 us later": doubled_later(0.05, 40_000),

@@ -813,11 +813,10 @@ def _missed(case: Case, gaps: Mapping[Any, list[int]]) -> Iterator[tuple[Stream,
     """Yield streams, and how many messages of each of their gaps the capture may have missed.
 
     Nothing is yielded if a capture that misses such a share of frames would have shown it elsewhere. That is
-    not so for a few runs of frames: each is one miss, however many messages it took. A stream with as
-    many gaps of other causes does not show the runs.
+    not so for a few runs of frames: each is one miss, however many messages it took.
     """
     missing, streams = sum(map(sum, gaps.values())), [item for item in case.streams if gaps.get(item)]
-    runs = least_runs(case, [item for item in streams if 2 * sum(gaps[item]) > item.missing.sum()])
+    runs = least_runs(case, {item: sum(gaps[item]) for item in streams})
     few = 0 < runs <= FEW_RUNS and not case.quality.counts
     size = missing / runs if 0 < 2 * runs <= missing and not case.quality.counts else 1.0
     quality = case.quality.of_runs(size) if size > 1 else case.quality
@@ -860,6 +859,8 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
         losses: losses of messages into cFS.
     """
     streamed = case.rows.streamed
+    # In holes nothing was checked: what they took makes no share of missing frames too large.
+    _take_back_in_holes(case, telemetry)
     gaps: dict[Stream, list[tuple[Loss, int]]] = {}
     for loss in telemetry.losses:
         if (number := _not_proven(loss)) and loss.stream is not None and not streamed[loss.stream.rows[0]]:
@@ -874,13 +875,9 @@ def make_uncertain(case: Case, telemetry: Telemetry, fates: Sequence[Fate], loss
     every = {item: [many for _, many in own] for item, own in gaps.items()}
     unexplained = {item: [many * (x.kind in _UNEXPLAINED) for x, many in own] for item, own in gaps.items()}
     by_capture = dict([*_missed(case, unexplained), *_missed(case, every)])
-    _take_back_in_holes(case, telemetry)
-    # In holes nothing was checked: what they took makes no share of missing frames too large.
-    rest = {item: [_not_proven(x) for x, _ in own] for item, own in gaps.items() if case.possible_holes}
-    by_capture = dict(_missed(case, rest)) | by_capture
     for stream, shares in by_capture.items():
         for (loss, number), share in zip(gaps[stream], shares, strict=True):
-            _take_back(telemetry, loss, min(number, share + spare, _not_proven(loss)))
+            _take_back(telemetry, loss, min(number, share + spare))
             spare -= min(spare, number - share)
     telemetry.losses[:] = [loss for loss in telemetry.losses if loss.lost]
     for fate in (fate for fate in fates if fate.seen and fate.ends["unaccounted"]):
