@@ -419,6 +419,7 @@ def test_frames_that_the_capture_missed_at_random_add_no_loss(tmp_path, name, sh
         ("delay_comes_and_goes", 20, "flights/delay_comes_and_goesrun201"),  # eight of them make holes
         ("every_datagram_twice_flight", 20, "flights/every_datagram_twice_flightrun202"),
         ("entry_removed_and_added", 6, "flights/entry_removed_and_addedrun62"),  # with commands and outputs
+        ("hardly_ran", 1, "flights/hardly_ranrun12"),  # the last packets before cFS hardly ran
     ],
 )
 def test_runs_of_frames_that_the_capture_missed_add_no_loss(tmp_path, name, runs, seed):

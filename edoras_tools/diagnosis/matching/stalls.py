@@ -9,7 +9,7 @@ Rules, all of which must hold:
 
 1. The capture has no packet of this cFS, or no housekeeping, in that time, although it sent steadily before
    and after.
-2. Its streams miss almost no sequence counts there, so it published nothing.
+2. Its streams miss few of the sequence counts that were due there, so it published nothing.
 3. The first packets behind were made after that time, so no network delayed them.
 4. Nothing else explains the silence of these streams: cFS did not boot, what sends them was not switched off,
    and the capture had no outage.
@@ -40,6 +40,8 @@ _FACTOR: Final = 2
 _LEAST_STREAMS: Final = 3
 _DUE: Final = 1.2
 """A stream was due in a pause that is this many times longer than its period."""
+_FEW: Final = 4
+"""Counts that miss are few if fewer than a quarter of those due in a pause do."""
 _EDGE: Final = 8
 """The first and the last eighth of a pause may belong to the time around it."""
 _BEHIND: Final = 8
@@ -82,7 +84,7 @@ def stalls(
                     if item.time_ns[0] <= start_ns < item.time_ns[-1]
                     if not timeline.blocking(Way(item.msg_id, item.link, system), start_ns, end_ns)
                 ]
-                if _published_nothing(instances, own, (start_ns, end_ns), usual_ns):
+                if _published_nothing(instances, own, start_ns, end_ns, usual_ns):
                     still.append((start_ns, end_ns))
                     text = f"{absence} came of it for {(end_ns - start_ns) / SECOND:.1f} s"
                     text += ", no count is missing, and it went on as before"
@@ -100,17 +102,17 @@ def _pauses(times: Integers, least_ns: int) -> Iterator[tuple[int, int, int]]:
 
 
 def _published_nothing(
-    instances: Instances, streams: Sequence[Stream], pause: tuple[int, int], round_ns: int
+    instances: Instances, streams: Sequence[Stream], start_ns: int, end_ns: int, round_ns: int
 ) -> bool:
     """Return whether several streams were due in a pause, few miss counts, and none was published in it.
 
     Packets of the last round before the pause wait in Telemetry Output's pipe and come out behind it.
 
     Args:
-        pause: begin and end, ns.
+        start_ns: begin of the pause.
+        end_ns: its end.
         round_ns: usual time between two packets, ns.
     """
-    start_ns, end_ns = pause
     pause_ns = end_ns - start_ns
     edge_ns = max(SECOND // 4, pause_ns // _EDGE)
     first_ns, last_ns = start_ns + max(edge_ns, round_ns), end_ns - edge_ns
@@ -125,8 +127,10 @@ def _published_nothing(
             return False
         # If the capture begins just before the pause, the packets behind it show the period.
         first, last = (max(0, at - 20), at) if at else (1, min(21, len(times) - 1))
-        if (times[last] - times[first]) * _DUE < pause_ns * (last - first):
+        period_ns = (times[last] - times[first]) / (last - first)
+        if period_ns * _DUE < pause_ns:
             due += 1
             # What cFS publishes at once when it goes on may be more than a pipe holds: some counts may miss.
-            lacking += bool(stream.missing[at])
+            # The capture may lack the last packets before the pause.
+            lacking += stream.missing[at] * period_ns * _FEW > pause_ns
     return due >= _LEAST_STREAMS and 3 * lacking <= due
