@@ -32,6 +32,8 @@ def _commands(names: str, **lengths: tuple[int, ...]) -> dict[int, Command]:
     return {code: Command(name, lengths.get(name, ())) for code, name in _numbered(names).items()}
 
 
+SIZED_ENTRY_BYTES: Final = 20
+"""Length of TO_LAB's command to add an entry up to v2.5.0-rc4: it has a packet size, which is not used."""
 ENABLE_OUTPUT_LENGTHS: Final = (24, 28)
 """TO_LAB's enable has a char[16]; the 20-byte string of some senders is accepted too."""
 
@@ -122,7 +124,7 @@ COMMANDS: Final[dict[int, dict[int, Command]]] = {
     ),
     0x1880: _commands(
         "NOOP RESET_COUNTERS ADD_PKT SEND_DATA_TYPES REMOVE_PKT REMOVE_ALL ENABLE_OUTPUT",
-        ADD_PKT=(16, 20),
+        ADD_PKT=(16, SIZED_ENTRY_BYTES),
         SEND_DATA_TYPES=(8,),
         REMOVE_PKT=(12,),
         REMOVE_ALL=(8,),

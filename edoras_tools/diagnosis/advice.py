@@ -399,8 +399,7 @@ def published_at(case: Case, stream: Stream) -> Integers:
 def _raised(case: Case, msg_id: int, limit: int) -> str:
     """Return how to raise a limit: an entry keeps its limit, so it has to be removed first."""
     remove = case.inject("to-remove", f"0x{msg_id:04x}")
-    add = case.inject("to-add", f"0x{msg_id:04x}", "--limit", str(limit))
-    lasting = "in its table (to_lab_sub)"
+    lasting, add = "in its table (to_lab_sub)", case.add_line(msg_id, limit)
     return f"raise TO's limit for it to {limit}: {lasting}, or until TO restarts with {remove}; {add}"
 
 

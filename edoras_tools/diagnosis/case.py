@@ -16,6 +16,7 @@ Rules:
 
 from __future__ import annotations
 
+import struct
 from bisect import bisect_left, bisect_right
 from collections import Counter, defaultdict
 from functools import cached_property, wraps
@@ -29,7 +30,7 @@ from msgspec.structs import replace
 
 from edoras_tools.cfs import command_ingest, queues, sbn, telemetry_output
 from edoras_tools.cfs.commands import inject_line
-from edoras_tools.cfs.names import message_name
+from edoras_tools.cfs.names import SIZED_ENTRY_BYTES, message_name
 from edoras_tools.decode.conversations import ConversationKind, Flow, Unnamed, unnamed
 from edoras_tools.diagnosis.accounting import closed, ingest
 from edoras_tools.diagnosis.accounting.bus import Telemetry
@@ -866,6 +867,28 @@ class Case:
     def inject(self, name: str, *arguments: str) -> str:
         """Return the command line that sends a named command to the CI of the capture."""
         return inject_line(name, *arguments) + self._target
+
+    def add_line(self, msg_id: int, *limit: int) -> str:
+        """Return the command line that has Telemetry Output send a MsgId, with a limit or the usual one."""
+        if not self._has_sized_entries:
+            return self.inject("to-add", f"0x{msg_id:04x}", *(f"--limit {number}" for number in limit))
+        entry = struct.pack("<I4xB3x", msg_id, *(limit or (telemetry_output.USUAL_LIMIT,)))
+        code, words = telemetry_output.ADD_PACKET, f"0x{telemetry_output.COMMAND_MSG_ID:04x}"
+        return f"edoras inject --command {words} {code} --hex {entry.hex()}" + self._target
+
+    @cached_property
+    def _has_sized_entries(self) -> bool:
+        """Whether a packet size stands before the limit of an entry, as in TO_LAB up to v2.5.0-rc4."""
+        texts = (telemetry_output.ADDED.pattern.fullmatch(item.message) for item in self.payloads.events)
+        entries = {(int(it["msg_id"], 16), int(it["priority"]), int(it["limit"])) for it in texts if it}
+        commands = self.payloads.outputs(telemetry_output.ADD_PACKET)
+        length = {(it.entry, it.values.get("limit")): self.rows.packet_length[it.row] for it in commands}
+        long = {entry for entry, number in length.items() if number == SIZED_ENTRY_BYTES}
+        # Without a size in the command, its limit is read as the priority.
+        short = length.keys() & {
+            (msg_id, priority) for msg_id, priority, limit in entries if priority != limit
+        }
+        return bool(short or long & {(msg_id, limit) for msg_id, _, limit in entries})
 
     def label(self, instance: int) -> str:
         """Return the label of an instance for people; ``cFS`` for ``NOBODY``."""

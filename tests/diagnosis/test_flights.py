@@ -177,6 +177,7 @@ FLIGHTS = {
     "poses_doubled_and_delayed": (51, {"limit": 51}),
     "takes_45_ms_for_each": (111, {"limit": 111}),
     "queues_of_twenty": (171, {"limit": 4, "overflow": 167}),
+    "limit_behind_a_size": (595, {"limit": 180, "unknown": 415}),
     "two_stations_in_turn": (74, {"limit": 64, "unknown": 10}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
@@ -1556,6 +1557,18 @@ def test_what_came_out_before_the_capture_of_the_flight_side_began_is_not_lost(t
     found = aligned([mutations.write(tmp_path / "late.pcap", late), ground])
     assert by_cause(found)["network"] == 25
     assert not found.unaccounted
+
+
+def test_an_entry_is_to_be_added_as_this_output_reads_it():
+    """It took a limit of 12 for the priority, and a limit of 0 from behind the command."""
+    found = examined("limit_behind_a_size")
+    sized = "edoras inject --command 0x1880 2 --hex f1080000000000000{}000000"
+    assert sized.format("c") in first_screen(found)
+    (stopped,) = (item for item in found.verdicts if item.rule == "to_stopped")
+    assert "at most 0 a round" in stopped.reason
+    assert stopped.remedy == "add it again: " + sized.format("4")
+    other = first_screen(examined("limits_one_three_seven"))
+    assert "edoras inject to-add 0x082d --limit" in other
 
 
 def test_what_another_station_got_is_not_lost_at_a_full_pipe():

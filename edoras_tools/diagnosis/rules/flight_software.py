@@ -466,7 +466,7 @@ def not_observable(case: Case) -> Iterator[Verdict]:
         remedy = f"capture {link}: 0x803 counts, 0x808 names"
     else:
         reason = "0x803 is not in the capture: how many messages the software bus lost cannot be shown"
-        remedy = f"have Telemetry Output send it: {case.inject('to-add', f'0x{case.of_known(0x0803):04x}')}"
+        remedy = f"have Telemetry Output send it: {case.add_line(case.of_known(0x0803))}"
     yield note(reason, hop="capture", remedy=remedy)
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from edoras_tools.diagnosis.case import Case
     from edoras_tools.diagnosis.evidence.payloads import CommandRecord
+    from edoras_tools.diagnosis.evidence.timeline.table import Change
 
 _WAIT_NS: Final = 3 * SECOND
 _ENDS_NS: Final = 5 * SECOND
@@ -163,13 +164,18 @@ def _commanded(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
     for item in case.payloads.outputs(*telemetry_output.STOPS):
         whose = "every MsgId" if item.entry < 0 else case.name(item.entry)
         lost, facts = explain(item.time_ns, item.entry)
-        again = _added_again(case, item)
+        change = _added_again(case, item)
+        again = ""
+        if change is not None:
+            limit = f", at most {change.value} a round," if change.value is not None else ""
+            again = f", and to send it again{limit} at {case.at(change.not_before_ns)}"
+        is_sent = change is not None and change.value != 0
         sends = item.entry < 0 or any(item.entry == stream.msg_id for stream in case.streams)
         entry = item.entry if item.entry >= 0 else _ended_at(case, item.time_ns)
         advice = "add it again:" if item.entry >= 0 else "add what is wanted again, e.g."
-        advice += f" {case.inject('to-add', f'0x{entry:04x}')}"
+        advice += f" {case.add_line(entry)}"
         yield verdict(
-            Severity.WARNING if facts or (sends and not again) else Severity.NOTE,
+            Severity.WARNING if facts or (sends and not is_sent) else Severity.NOTE,
             f"Telemetry Output was told to stop sending {whose} at {case.at(item.time_ns)}{again}",
             f"packet {rows.number[item.row]}: {rows.msg_id[item.row]:#06x}, function code "
             f"{item.function_code}, from {case.endpoints[rows.source[item.row]].address}",
@@ -178,7 +184,7 @@ def _commanded(case: Case, explain: Callable[..., tuple[int | None, list[str]]])
             place=("to", telemetry_output.NAME),
             span=(item.time_ns, item.time_ns),
             lost=lost,
-            remedy="none: it was added again" if again else advice,
+            remedy="none: it was added again" if is_sent else advice,
         )
 
 
@@ -188,16 +194,12 @@ def _ended_at(case: Case, when: int) -> int:
     return next((item.msg_id for item in last), case.of_known(0x0803))
 
 
-def _added_again(case: Case, item: CommandRecord) -> str:
-    """Return when a MsgId that was removed was added again, and with what limit; nothing where it was not."""
-    if item.entry < 0:
-        return ""
+def _added_again(case: Case, item: CommandRecord) -> Change | None:
+    """Return the change by which a MsgId that was removed was added again; None where it was not."""
     system = case.instances.system_at(int(case.rows.destination[item.row]), item.time_ns)
-    for change in case.timeline.of(StateOwner("entry", "", item.entry), system):
-        if change.state == "subscribed" and change.not_before_ns > item.time_ns:
-            limit = f", at most {change.value} a round," if change.value is not None else ""
-            return f", and to send it again{limit} at {case.at(change.not_before_ns)}"
-    return ""
+    changes = case.timeline.of(StateOwner("entry", "", item.entry), system) if item.entry >= 0 else ()
+    later = (change for change in changes if change.not_before_ns > item.time_ns)
+    return next((change for change in later if change.state == "subscribed"), None)
 
 
 def _restarted(case: Case, explain: Callable[..., tuple[int | None, list[str]]]) -> Iterator[Verdict]:

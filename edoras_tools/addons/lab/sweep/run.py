@@ -176,7 +176,7 @@ class Judge:
                 f"{lost + unseen:,} of 0x{self._route.msg_id:04x} never came, and cFS reported no reason",
             )
             if not delivered and self._route.link is TO and diagnosis.case is not None:
-                add = diagnosis.case.inject("to-add", f"0x{self._route.msg_id:04x}")
+                add = diagnosis.case.add_line(self._route.msg_id)
                 reason += f"; if Telemetry Output is not to send it yet: {add}"
         return StepOutcome(
             delivered + lost + unseen,
