@@ -314,12 +314,15 @@ class Case:
 
     @cached_property
     def _holes(self) -> tuple[list[tuple[int, int]], ...]:
-        """The certain holes, then the possible ones."""
-        away = self.capture.away
-        return tuple(
-            [item for item in holes if not any(start < item[1] and item[0] < end for start, end in away)]
-            for holes in find_holes(self.rows)
-        )
+        """The certain holes, then the possible ones; a time in which robots were captured is none."""
+        away, other_ns = self.capture.away, np.sort(self._errors.voices()[0])
+
+        def is_empty(begin: int, stop: int) -> bool:
+            inside = other_ns[slice(*np.searchsorted(other_ns, (begin, stop)))]
+            half = 2 * int(np.diff(inside, prepend=begin, append=stop).max()) > stop - begin
+            return half and not any(start < stop and begin < end for start, end in away)
+
+        return tuple([item for item in holes if is_empty(*item)] for holes in find_holes(self.rows))
 
     @property
     def away(self) -> list[tuple[int, int]]:

@@ -178,6 +178,7 @@ FLIGHTS = {
     "takes_45_ms_for_each": (111, {"limit": 111}),
     "queues_of_twenty": (171, {"limit": 4, "overflow": 167}),
     "limit_behind_a_size": (595, {"limit": 180, "unknown": 415}),
+    "interface_down_flight": (136, {"to_socket": 136}),
     "two_stations_in_turn": (74, {"limit": 64, "unknown": 10}),
 }
 # Messages lost where one that was woken more often, or a bridge that ended, leaves a range.
