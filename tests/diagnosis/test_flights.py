@@ -431,6 +431,15 @@ def test_runs_of_frames_that_the_capture_missed_add_no_loss(tmp_path, name, runs
     assert found.lost + found.unaccounted <= FLIGHTS[name][0]
 
 
+def test_what_comes_out_of_order_within_a_burst_is_no_restart(tmp_path):
+    """Counts of 0x803 would begin again: 1,591 more."""
+    items = mutations.frames(FOLDER / "peers_flood_each_other.pcap.zst")
+    items = mutations.jittered(5_000_000)(items, random.Random("flights/peers_flood_each_otherjit51"))
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    assert found.lost + found.unaccounted <= FLIGHTS["peers_flood_each_other"][0]
+    assert "cfs_restart" not in {item.rule for item in found.verdicts}
+
+
 @pytest.mark.parametrize("seed", [1, 7])
 def test_what_came_out_is_no_part_of_a_shared_loss(tmp_path, seed):
     """The capture has half of the commands; those that a counter has besides are none that came out."""

@@ -190,7 +190,7 @@ def find_resets(rows: Rows, streams: Sequence[Stream]) -> list[Reset]:
 
     Most sequence counts fall then, where Telemetry Output sends from another port, or on SBN. If only
     Telemetry Output had restarted, the counts would go on. Each MsgId gives an interval; overlapping ones are
-    one restart.
+    one restart. No cFS restarts within a burst: what falls there came out of order.
     """
     spans: dict[int, list[tuple[int, int, bool]]] = {}
     for stream in streams:
@@ -199,7 +199,7 @@ def find_resets(rows: Rows, streams: Sequence[Stream]) -> list[Reset]:
             began = (np.diff(rows.source[stream.rows]) != 0) | (rows.restarts[stream.rows[1:]] > 0)
             for at in np.flatnonzero(began).tolist():
                 start, end = stream.time_ns[at : at + 2].tolist()
-                if start < end:
+                if start + _BURST_NS < end:
                     fell = (count[at + 1] - count[at]) % MODULUS >= FORWARD
                     spans.setdefault(stream.instance, []).append((end, start, fell))
     resets = []
