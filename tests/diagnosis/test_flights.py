@@ -404,6 +404,7 @@ def test_a_capture_that_misses_frames_misses_more_of_what_comes_in_many(tmp_path
     ("name", "share", "seed", "most"),
     [
         ("peer_wants_nothing", 0.01, "flights/peer_wants_nothingr12", 0),  # a command of those taken lacks
+        ("peer_wants_nothing", 0.005, "flights/peer_wants_nothingrm0.52", 0),  # and nothing else shows it
         ("peers_flood_each_other", 0.05, "flights/peers_flood_each_otherr512", 4141),  # two strange samples
         ("refused_by_length", 0.05, "flights/refused_by_lengthr513", 42),  # CI counts no empty datagram
         ("crashed_twice", 0.05, "flights/crashed_twicer53", 105),  # counts of what was sent into a stop

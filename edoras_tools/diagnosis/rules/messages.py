@@ -214,7 +214,7 @@ def _unwanted(
             break  # the fewest that fit
         if may_be(sent):
             fits[item] = sent
-    alike = _alike(case, own, len(next(iter(fits))), may_be) if fits else ()
+    alike = _alike(case, own, len(next(iter(fits))), int(counts[-1]) // 10, may_be) if fits else ()
     for sent in fits.values() if len(alike) == 1 else ():
         # What the last sample does not have may be on its way, where CI lost nothing.
         until = len(sent) if lost else counts[-1] + int(np.searchsorted(times[sent], seen_ns[0]))
@@ -224,16 +224,17 @@ def _unwanted(
 
 
 def _alike(
-    case: Case, own: Mapping[int, Places], most: int, may_be: Callable[[Places, int, int], bool]
+    case: Case, own: Mapping[int, Places], most: int, few: int, may_be: Callable[[Places, int, int], bool]
 ) -> set[tuple[int, ...]]:
     """Return the sets of at most ``most`` MsgIds that fit a counter if the capture missed some of them.
 
-    An application may take all of a set, and what it makes of the newest of each round be for nobody.
+    Without a sign that it missed any, it missed ``few`` at most. An application may take all of a set, and
+    what it makes of the newest of each round be for nobody.
     """
     times, wake_ns = case.rows.time_ns, case.profile.ci_wake_ns
-    missed = case.quality.may_have_missed(sum(map(len, own.values()))) if case.quality.best[1] else 0
-    few = takewhile(lambda one: len(one[0]) <= most, _sets(own))
-    alike = {item for item, sent in few if may_be(sent, 0, missed)}
+    missed = case.quality.may_have_missed(sum(map(len, own.values())) if case.quality.best[1] else few)
+    small = takewhile(lambda one: len(one[0]) <= most, _sets(own))
+    alike = {item for item, sent in small if may_be(sent, 0, missed)}
     newest = {item: at[np.diff(times[at] // wake_ns, append=-1) != 0] for item, at in own.items()}
     seldom = ((item, at) for item, at in _sets(newest) if 10 * len(at) < 9 * sum(len(own[x]) for x in item))
     for item, at in seldom:
