@@ -1559,6 +1559,9 @@ def test_what_came_out_before_the_capture_of_the_robot_began_is_not_lost(tmp_pat
     found = aligned(late)
     assert by_cause(whole) == by_cause(found) == {"limit": 13}
     assert found.uncertain >= len(robot) // 2
+    (unsure,) = (item for item in found.verdicts if item.rule == "perhaps_lost")
+    assert "; the capture of what came out begins at " in unsure.reason
+    assert unsure.remedy == "begin all captures before the traffic"
 
 
 def test_what_came_out_before_the_capture_of_the_flight_side_began_is_not_lost(tmp_path):

@@ -383,9 +383,11 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
     (checked, lacking), most = case.quality.best, 100 * case.quality.upper_share()
     total, streams = sum(number for _, number in unsure), [stream for stream, _ in unsure]
     basis = f"{checked:,} datagrams were checked that surely passed: {lacking:,} lack"
+    late_ns = max((case.blind_spans(item.hops)[-1][1] for item in fates if item.ends["missed"]), default=0)
+    late = f"; the capture of what came out begins at {case.at(late_ns)} only" if late_ns else ""
     yield warning(
         f"{plural(total, 'message')} may be lost, or the capture missed "
-        f"{'it' if total == 1 else 'them'}: it may lack up to {min(most, 99):.2g} % of what passed",
+        f"{'it' if total == 1 else 'them'}: it may lack up to {min(most, 99):.2g} % of what passed{late}",
         basis if checked else "nothing here tells what the capture missed",
         *(
             f"nothing at all was captured from {case.at(start_ns)} to {case.at(end_ns)}"
@@ -396,7 +398,9 @@ def perhaps_lost(case: Case) -> Iterator[Verdict]:
         msg_id=streams[0].msg_id if len(streams) == 1 else None,
         link=streams[0].link.label if len({stream.link for stream in streams}) == 1 else None,
         span=(int(min(own.time_ns[0] for own in streams)), int(max(own.time_ns[-1] for own in streams))),
-        remedy="see how many frames the kernel dropped while capturing: if none, these messages are lost. "
+        remedy="begin all captures before the traffic"
+        if late
+        else "see how many frames the kernel dropped while capturing: if none, these messages are lost. "
         "pcapng has that count, and so has what this writes: edoras record",
         confidence="low",
     )
