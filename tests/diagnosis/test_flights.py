@@ -432,6 +432,16 @@ def test_runs_of_frames_that_the_capture_missed_add_no_loss(tmp_path, name, runs
     assert found.lost + found.unaccounted <= FLIGHTS[name][0]
 
 
+def test_a_restart_of_the_processor_shows_in_one_msg_id(tmp_path):
+    """Telemetry Output may send 0x884 alone. What CI counted then began again, and was no loss of 173."""
+    items = mutations.frames(FOLDER / "processor_restarted_in_a_flood.pcap.zst")
+    items = [item for item in items if mutations.is_to(item.data, 1234) or item.data[42:44] == b"\x08\x84"]
+    found = truth.examined(mutations.write(tmp_path / "flight.pcap", items))
+    (row,) = (row for row in found.balance if row.hop == "CI" and row.msg_id == 0x1827)
+    assert row.lost["down"] > 40
+    assert row.all_lost <= 76  # as many as all of its telemetry shows, 18 of them perhaps
+
+
 def test_what_comes_out_of_order_within_a_burst_is_no_restart(tmp_path):
     """Counts of 0x803 would begin again: 1,591 more."""
     items = mutations.frames(FOLDER / "peers_flood_each_other.pcap.zst")

@@ -190,26 +190,27 @@ def find_resets(rows: Rows, streams: Sequence[Stream]) -> list[Reset]:
 
     Most sequence counts fall then, where Telemetry Output sends from another port, or on SBN. If only
     Telemetry Output had restarted, the counts would go on. Each MsgId gives an interval; overlapping ones are
-    one restart. No cFS restarts within a burst: what falls there came out of order.
+    one restart. No cFS restarts within a burst: what falls there came out of order. If the capture has fewer
+    than three MsgIds, all must fall.
     """
     spans: dict[int, list[tuple[int, int, bool]]] = {}
-    for stream in streams:
-        if not stream.link.only_to_cfs and stream.counted:
-            count = rows.sequence_count[stream.rows].astype(np.int64)
-            began = (np.diff(rows.source[stream.rows]) != 0) | (rows.restarts[stream.rows[1:]] > 0)
-            for at in np.flatnonzero(began).tolist():
-                start, end = stream.time_ns[at : at + 2].tolist()
-                if start + _BURST_NS < end:
-                    fell = (count[at + 1] - count[at]) % MODULUS >= FORWARD
-                    spans.setdefault(stream.instance, []).append((end, start, fell))
+    counted = [item for item in streams if item.counted and not item.link.only_to_cfs]
+    for stream in counted:
+        count = rows.sequence_count[stream.rows].astype(np.int64)
+        began = (np.diff(rows.source[stream.rows]) != 0) | (rows.restarts[stream.rows[1:]] > 0)
+        for at in np.flatnonzero(began).tolist():
+            start, end = stream.time_ns[at : at + 2].tolist()
+            if start + _BURST_NS < end:
+                fell = (count[at + 1] - count[at]) % MODULUS >= FORWARD
+                spans.setdefault(stream.instance, []).append((end, start, fell))
     resets = []
     for instance, members in spans.items():
-        rest = sorted(members)
+        rest, able = sorted(members), sum(item.instance == instance for item in counted)
         while rest:
             first_end = rest[0][0]
             same = [item for item in rest if item[1] < first_end]
             fell = [(start, end) for end, start, down in same if down]
-            if len(fell) >= _LEAST_FELL and len(fell) * 2 > len(same):
+            if len(fell) >= min(_LEAST_FELL, able) and len(fell) * 2 > len(same):
                 resets.append(Reset(instance, max(start for start, _ in fell), min(end for _, end in fell)))
             rest = [item for item in rest if item[1] >= first_end]
     return resets
