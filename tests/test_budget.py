@@ -39,8 +39,8 @@ class Limit(NamedTuple):
 
 
 LIMITS = {
-    "lines with code, core": Limit(55_950, 150, 58_000),
-    "lines with code, all": Limit(88_956, 150, 84_000),  # with what is still to come
+    "lines with code, core": Limit(56_035, 150, 58_000),
+    "lines with code, all": Limit(89_033, 150, 84_000),  # with what is still to come
     "files": Limit(376, 10, 450),
     "files below 170 lines, of 1,000": Limit(247, 10, 500),  # a median of 170 lines or more
     "folders with one file": Limit(0, 0, 0),
