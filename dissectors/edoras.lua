@@ -3,7 +3,7 @@
 -- Routes of the demos of the EDORAS paper; ROS 2 jazzy.
 -- SPDX-License-Identifier: MIT
 
-local DIGEST = "6ee59dd94d7889ed"
+local DIGEST = "921f70c1856b7c95"
 local wanted = os.getenv("EDORAS_LUA")
 if wanted and wanted ~= "" and wanted ~= DIGEST then
 	return  -- another copy shall be loaded
@@ -6534,7 +6534,7 @@ D.commands = {
 	[6272] = {
 		[0] = {name = "NOOP", lengths = {8}},
 		[1] = {name = "RESET_COUNTERS", lengths = {8}},
-		[2] = {name = "ADD_PKT", lengths = {16}},
+		[2] = {name = "ADD_PKT", lengths = {16, 20}},
 		[3] = {name = "SEND_DATA_TYPES", lengths = {8}},
 		[4] = {name = "REMOVE_PKT", lengths = {12}},
 		[5] = {name = "REMOVE_ALL", lengths = {8}},
